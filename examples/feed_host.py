@@ -13,9 +13,10 @@ import sys
 import time
 from collections.abc import Iterator
 
-import gelstereo
 import numpy as np
 import numpy.typing as npt
+
+import gelstereo
 from gelstereo.streams import FrameWriter
 
 #: Both views side by side, and the moment of exposure by ``time.monotonic_ns()``.

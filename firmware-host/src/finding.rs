@@ -1,53 +1,53 @@
-//! What `check` and `doctor` find, point by point.
+//! Findings of `check` and `doctor`.
 
 use serde::Serialize;
 
-/// How good or bad it is.
+/// Severity of a finding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Level {
-    /// As it should be.
+    /// No problem.
     Ok,
-    /// `run` would start, but not do well.
+    /// `run` would start, but not perform well.
     Warn,
     /// `run` would not start.
     Wrong,
 }
 
-/// One point that was looked at.
+/// One examined point.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Finding {
-    /// What was looked at.
+    /// Subject of the check.
     pub subject: &'static str,
-    /// How good or bad it is.
+    /// Severity.
     pub level: Level,
-    /// What was found.
+    /// Result.
     pub found: String,
-    /// What to do about it.
+    /// Advice.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub advice: Option<String>,
 }
 
 impl Finding {
-    /// All is well.
+    /// A point without a problem.
     #[must_use]
     pub fn ok(subject: &'static str, found: impl Into<String>) -> Self {
         Self { subject, level: Level::Ok, found: found.into(), advice: None }
     }
 
-    /// Not as it should be, but no reason to stop.
+    /// A problem that does not prevent a start.
     #[must_use]
     pub fn warn(subject: &'static str, found: impl Into<String>, advice: impl Into<String>) -> Self {
         Self { subject, level: Level::Warn, found: found.into(), advice: Some(advice.into()) }
     }
 
-    /// `run` would not start. Errors say what to do themselves.
+    /// A problem that prevents `run` from starting. Error messages contain their own advice.
     #[must_use]
     pub fn wrong(subject: &'static str, found: impl Into<String>) -> Self {
         Self { subject, level: Level::Wrong, found: found.into(), advice: None }
     }
 
-    /// The same with what to do about it.
+    /// Adds advice.
     #[must_use]
     pub fn with_advice(self, advice: impl Into<String>) -> Self {
         Self { advice: Some(advice.into()), ..self }
@@ -69,7 +69,7 @@ impl std::fmt::Display for Finding {
     }
 }
 
-/// Whether nothing is wrong.
+/// Whether no finding is [`Level::Wrong`].
 #[must_use]
 pub fn all_right(findings: &[Finding]) -> bool {
     findings.iter().all(|finding| finding.level < Level::Wrong)

@@ -1,9 +1,10 @@
 //! gelstereo on the robot's computer: frame sources, grippers, robots, recordings and the robot task.
 //!
-//! The only crate with clocks, files, threads and devices. The task knows its devices by their traits; the simulated
-//! world stands behind all three of them, or real devices do.
+//! The only crate with clocks, files, threads and devices. The task accesses its devices through traits;
+//! the simulated world or real devices implement all three.
 //!
-//! Without the feature `host` only what the Python bindings share is compiled: codecs, cameras and HID devices.
+//! Without the feature `host` only the parts shared with the Python bindings are compiled: codecs,
+//! cameras and HID devices.
 
 pub mod camera;
 #[cfg(feature = "host")]

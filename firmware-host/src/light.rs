@@ -1,11 +1,12 @@
-//! The light over the gel, and settings of a camera by HID: made before the first frame; the light goes out at the end.
+//! Light over the gel, and HID settings of a camera: set before the first frame; the light is switched
+//! off at the end.
 
 use crate::codec::blink1::Rgb;
 use crate::codec::tara::{Exposure, StreamMode};
 use crate::config::{CameraHidConfig, LightConfig, StreamModeConfig};
 use crate::hid::{Blink1Light, HidError, KernelLed, TaraControl};
 
-/// A light that is on. It goes out when this value is dropped; [`Self::off`] says whether that worked.
+/// A light that is on. Dropping it switches it off; [`Self::off`] also returns errors.
 #[derive(Debug)]
 pub struct LightOn {
     lamp: Lamp,
@@ -61,12 +62,12 @@ impl LightOn {
 
 impl Drop for LightOn {
     fn drop(&mut self) {
-        // On this path the host ends for another reason, which is the one to report.
+        // On this path the host ends with another error, which is the one to report.
         let _ = self.switch_off();
     }
 }
 
-/// Makes the settings of a camera that go by HID.
+/// Applies the HID settings of a camera.
 ///
 /// # Errors
 /// [`HidError`].
@@ -84,7 +85,7 @@ pub fn set_up_camera(config: &CameraHidConfig) -> Result<(), HidError> {
     if let Some(on) = hdr {
         camera.set_hdr(*on)?;
     }
-    // Last, since HDR may change it.
+    // Last, since HDR may change the exposure.
     if let Some(us) = exposure_us {
         camera.set_exposure(Exposure::from_us(*us)?)?;
     }

@@ -1,12 +1,12 @@
-//! What a recording says of frames and stages in words and figures. A replay writes the same notes again and compares
-//! them letter by letter; the digests in them stand for all bits of a result.
+//! Text notes on frames and stages in a recording. A replay regenerates the notes and compares them
+//! character by character; the digests in them represent all bits of a result.
 
 use crate::report::Stage;
 use crate::sensing::{Action, Sensing, SensingError};
 use gelstereo_core::register::{Registration, TrackingStatus};
 use gelstereo_core::track::MarkerState;
 
-/// What the topic `/gelstereo/frame` says of a frame: evidence and digest, or the error.
+/// Note for the topic `/gelstereo/frame`: figures and digest of a frame, or the error.
 #[must_use]
 pub fn frame_note(sensed: &Result<(), SensingError>, sensing: &Sensing) -> serde_json::Value {
     match sensed {
@@ -26,7 +26,7 @@ pub fn frame_note(sensed: &Result<(), SensingError>, sensing: &Sensing) -> serde
     }
 }
 
-/// What a tracking is called in notes and lines.
+/// Name of a tracking status in notes and lines.
 #[must_use]
 pub const fn tracking_name(tracking: TrackingStatus) -> &'static str {
     match tracking {
@@ -36,7 +36,8 @@ pub const fn tracking_name(tracking: TrackingStatus) -> &'static str {
     }
 }
 
-/// What the topic `/gelstereo/stage` says of an action and its result; a followed part has a tracking.
+/// Note for the topic `/gelstereo/stage`: an action and its result, and the tracking status of a tracked
+/// part.
 #[must_use]
 pub fn action_note(
     stage: Stage,

@@ -1,4 +1,4 @@
-//! The part: a shape by its dimensions, or a mesh file.
+//! The part: a shape with dimensions, or a mesh file.
 
 use gelstereo_core::math::DVec3;
 use gelstereo_core::register::{Template, TemplateError};
@@ -33,50 +33,50 @@ impl Default for PartConfig {
     }
 }
 
-/// Why there is no part.
+/// Reason why a part cannot be loaded.
 #[derive(Debug)]
 pub enum PartError {
     /// The mesh file cannot be read.
     Read {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
-        /// The system's answer.
+        /// Error of the system.
         error: std::io::Error,
     },
-    /// The unit is not known.
+    /// The unit is unknown.
     Units {
-        /// What was found.
+        /// Unit found.
         found: String,
     },
-    /// The file's ending says neither STL nor OBJ.
+    /// The file extension is neither STL nor OBJ.
     Kind {
-        /// Which file.
+        /// Path of the file.
         path: PathBuf,
     },
-    /// The file is not what its ending says.
+    /// The content of the file does not match its extension.
     Decode {
-        /// Which file.
+        /// Path of the file.
         path: PathBuf,
-        /// What is wrong.
+        /// Reason.
         message: String,
     },
     /// The part is too small or too large to be held.
     Scale {
-        /// Diagonal of its bounding box in the unit given.
+        /// Diagonal of its bounding box in the given unit.
         diagonal_mm: f64,
-        /// The unit given.
+        /// The given unit.
         units: String,
-        /// A unit in which the size would make sense.
+        /// A unit that would give a plausible size.
         guess: Option<&'static str>,
     },
-    /// A part by its dimensions is too small or too large to be held.
+    /// A part with dimensions is too small or too large to be held.
     Size {
         /// Diagonal of its bounding box.
         diagonal_mm: f64,
     },
-    /// The triangles are no surface.
+    /// The triangles do not form a valid surface.
     Mesh(MeshError),
-    /// The surface makes no template.
+    /// The surface does not yield a template.
     Template(TemplateError),
 }
 
@@ -113,24 +113,24 @@ impl std::fmt::Display for PartError {
 
 impl std::error::Error for PartError {}
 
-/// Units that a mesh file may have, and their length; the most usual first, for the guess.
+/// Units of mesh files and their length in mm; the most common first, for the guess.
 const UNITS: [(&str, f64); 4] = [("mm", 1.0), ("m", 1000.0), ("in", 25.4), ("cm", 10.0)];
 const MIN_DIAGONAL_MM: f64 = 2.0;
 const MAX_DIAGONAL_MM: f64 = 500.0;
-/// Facets of a round shape stay this close to it: a tenth of what the sensor resolves.
+/// Largest deviation of the facets of a round shape: a tenth of the sensor's resolution.
 const FACET_TOLERANCE_MM: f64 = 0.003;
 
-/// A part's surface and its file, if it came from one.
+/// Surface of a part, and its file if it has one.
 #[derive(Clone, Debug)]
 pub struct Part {
-    /// Its triangles, part frame.
+    /// Triangles, part frame.
     pub mesh: TriangleMesh,
-    /// Name and bytes of the mesh file, which a recording keeps.
+    /// Name and bytes of the mesh file, which is stored in a recording.
     pub file: Option<(String, Vec<u8>)>,
 }
 
 impl Part {
-    /// By dimensions, or from the mesh file that the shape names.
+    /// Loads a part from dimensions, or from the mesh file of the shape.
     ///
     /// # Errors
     /// [`PartError`].
@@ -199,7 +199,7 @@ fn diagonal_mm(mesh: &TriangleMesh) -> f64 {
     (high - low).length()
 }
 
-/// Whether a part of that size can be held between fingers.
+/// Whether a part of this size can be held between fingers.
 fn fits(diagonal_mm: f64) -> bool {
     (MIN_DIAGONAL_MM..=MAX_DIAGONAL_MM).contains(&diagonal_mm)
 }
@@ -216,7 +216,7 @@ fn decode_stl(path: &Path, bytes: &[u8]) -> Result<Triangles, PartError> {
 
 fn decode_obj(path: &Path, bytes: &[u8]) -> Result<Triangles, PartError> {
     let options = tobj::LoadOptions { triangulate: true, single_index: true, ..Default::default() };
-    // Materials have no bearing on a surface.
+    // Materials are irrelevant for the surface.
     let (models, _) = tobj::load_obj_buf(&mut Cursor::new(bytes), &options, |_| Ok(Default::default()))
         .map_err(|error| PartError::Decode { path: path.to_owned(), message: error.to_string() })?;
     let (mut vertices, mut triangles) = (Vec::new(), Vec::new());

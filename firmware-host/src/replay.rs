@@ -1,4 +1,4 @@
-//! A recording computed again: the same images, settings and requests must give the same bits.
+//! Replays a recording: the same images, settings and actions must give the same bits.
 
 use crate::config::{Config, RecordingMode};
 use crate::notes::{action_note, frame_note};
@@ -23,38 +23,37 @@ use std::path::Path;
 pub struct Difference {
     /// Frame of the recording, from 0.
     pub frame: u64,
-    /// What was recorded.
+    /// The recorded result.
     pub recorded: String,
-    /// What was computed now.
+    /// The recomputed result.
     pub computed: String,
 }
 
-/// What came of a replay.
+/// Result of a replay.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ReplayReport {
-    /// Frames that were computed again.
+    /// Number of frames recomputed.
     pub frames: u64,
-    /// Localisations that were computed again.
+    /// Number of localisations recomputed.
     pub localizations: u64,
-    /// Results that differ.
+    /// Number of results that differ.
     pub differing: u64,
-    /// The first of them.
+    /// The first difference.
     pub first: Option<Difference>,
-    /// Pairs whose decoded pixels are not those that were recorded: then the decoder differs, not the
-    /// pipeline.
+    /// Pairs whose decoded pixels differ from the recorded ones: then the decoder differs, not the pipeline.
     pub other_pixels: u64,
-    /// The decoder of JPEG images that the recording names, if it is not this one.
+    /// The JPEG decoder named in the recording, if it is not the present one.
     pub other_decoder: Option<String>,
-    /// Whether the recording ends before its end mark.
+    /// Whether the recording lacks its end mark.
     pub truncated: bool,
     /// Whether other settings than the recorded ones were used.
     pub changed_params: bool,
-    /// Why the same bits cannot be expected, if so.
+    /// Why bit-identical results cannot be expected, if so.
     pub inexact: Option<String>,
 }
 
 impl ReplayReport {
-    /// Whether something was computed, and differs only where it may.
+    /// Whether something was recomputed, and differences occur only where they are expected.
     #[must_use]
     pub fn is_good(&self) -> bool {
         let may_differ = self.changed_params || self.inexact.is_some();
@@ -93,12 +92,12 @@ impl std::fmt::Display for ReplayReport {
     }
 }
 
-/// Computes a recording again, with `params` in place of the recorded settings if they are given. `parts` are
-/// its files, in any order. `progress` hears the number of frames done.
+/// Replays a recording, with `params` in place of the recorded settings if given. `parts` are its files,
+/// in any order. `progress` receives the number of frames done.
 ///
 /// # Errors
-/// [`HostError::Recording`] when a file is no recording of a run or is damaged before its end, or the parts do not
-/// follow each other.
+/// [`HostError::Recording`] when a file is not a recording of a run or is damaged before its end, or the
+/// parts do not belong together.
 pub fn replay<P: AsRef<Path>>(
     parts: &[P],
     params: Option<Params>,
@@ -128,14 +127,14 @@ pub fn replay<P: AsRef<Path>>(
     Ok(replay.report)
 }
 
-/// A file, and what stands before its first message.
+/// An open file and the content before its first message.
 struct Opening {
     reader: Reader,
     config_toml: String,
     decoder: Option<String>,
     part: u32,
     attachments: BTreeMap<String, Vec<u8>>,
-    /// The first message, which ended the search.
+    /// The first message, which was read while opening.
     held: Option<Item>,
 }
 
@@ -171,9 +170,9 @@ struct Replay {
     mode: RecordingMode,
     decoder: ImageDecoder,
     pair: StereoPair,
-    /// What the recording says of the pair whose images come next.
+    /// Recorded capture data of the pair whose images come next.
     capture: Option<CaptureNote>,
-    /// The summary of the last pair, until the recorded one comes to be compared.
+    /// The last pair's computed note, until the recorded one arrives for comparison.
     computed: Option<String>,
     report: ReplayReport,
 }
@@ -221,20 +220,20 @@ impl Replay {
         Ok(replay)
     }
 
-    /// Begins in the middle of a run, from the rest state that the file holds.
+    /// Starts in the middle of a run, from the rest state in the file.
     fn resume(&mut self, opening: &Opening) -> Result<(), HostError> {
         self.expect_differences("the recording begins in the middle of a run");
         let Some(rest) = opening.attachments.get(ATTACHMENT_REST) else { return Ok(()) };
         let fail = |error: String| RecordingError::Content { place: ATTACHMENT_REST, error };
         let record: RestRecord = serde_json::from_slice(rest).map_err(|error| fail(error.to_string()))?;
         if self.report.changed_params {
-            // A record is good for the settings that made it: with others the first pair is the rest frame.
+            // A rest record is valid only for its own settings; with others the first pair is the rest frame.
             return Ok(());
         }
         Ok(self.sensing.resume(&record)?)
     }
 
-    /// Goes on from one file to the next.
+    /// Continues from one file to the next.
     fn follow(&mut self, last: &Opening, next: &Opening, truncated: bool) -> Result<(), HostError> {
         if next.config_toml != last.config_toml || next.part == last.part {
             let error = format!(
@@ -291,7 +290,7 @@ impl Replay {
         self.computed = Some(frame_note(&sensed, &self.sensing).to_string());
     }
 
-    /// Notes how the next pair was captured, or what happened to the source or the recording.
+    /// Takes the capture data of the next pair, or an event of the source or the recording.
     fn captured(&mut self, recorded: &str) -> Result<(), HostError> {
         let fail = |error: serde_json::Error| RecordingError::Content {
             place: Topic::Capture.name(),
@@ -308,7 +307,7 @@ impl Replay {
         Ok(())
     }
 
-    /// Asks again what a stage asked of the pipeline, if it did.
+    /// Repeats the pipeline action of a stage message, if it has one.
     fn request(&mut self, recorded: &str) -> Result<(), HostError> {
         let fail = |error: serde_json::Error| RecordingError::Content {
             place: Topic::Stage.name(),

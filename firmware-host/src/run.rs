@@ -1,4 +1,4 @@
-//! From a configuration to a job: devices, template, recording, and in simulation the truth.
+//! Runs a job from its configuration: devices, template, recording, and in simulation the ground truth.
 
 use crate::config::{Config, ConfigError, RobotConfig, SourceConfig, TaskConfig};
 use crate::gripper::{Gripper, GripperConfig, GripperError};
@@ -23,18 +23,18 @@ use std::rc::Rc;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
-/// Why the host did not do what it was asked.
+/// Reason why the host could not carry out a request.
 #[derive(Debug)]
 pub enum HostError {
-    /// The configuration.
+    /// Invalid configuration.
     Config(ConfigError),
-    /// The part.
+    /// The part cannot be loaded.
     Part(PartError),
-    /// The simulated world.
+    /// The simulated world cannot be created.
     World(WorldError),
-    /// The light, or the camera's settings by HID.
+    /// Error of the light, or of the camera's settings by HID.
     Hid(HidError),
-    /// The frame source.
+    /// Error of the frame source.
     Source(SourceError),
     /// The pipeline cannot start.
     Sensing(SensingError),
@@ -42,18 +42,18 @@ pub enum HostError {
     Gripper(GripperError),
     /// The robot cannot be reached.
     Robot(RobotError),
-    /// The system has no more threads.
+    /// No thread could be started.
     Thread(std::io::Error),
-    /// The recording.
+    /// Error of the recording.
     Recording(RecordingError),
-    /// The taught goal.
+    /// Error of the taught goal.
     Taught(TaughtError),
     /// The task broke off.
     Task(TaskError),
 }
 
 impl HostError {
-    /// What kind of error it is, in the words of the JSON summary.
+    /// Kind of error, as used in the JSON summary.
     #[must_use]
     pub const fn cause(&self) -> &'static str {
         match self {
@@ -107,9 +107,9 @@ host_from!(ConfigError => Config, PartError => Part, WorldError => World, HidErr
            SensingError => Sensing, GripperError => Gripper, RobotError => Robot, RecordingError => Recording,
            TaskError => Task, TaughtError => Taught);
 
-/// A job's world and what it senses with.
+/// Everything that a job works with.
 pub struct Setup {
-    /// What is really there, as far as it is simulated.
+    /// The simulated world.
     pub world: Rc<RefCell<World>>,
     /// The devices.
     pub devices: Devices,
@@ -117,12 +117,12 @@ pub struct Setup {
     pub sensing: Sensing,
     /// The part.
     pub part: Part,
-    /// The part in its goal (`t_base_object`), taught or given.
+    /// Part pose at the goal (`t_base_object`), taught or configured.
     pub goal: Pose,
 }
 
 impl Setup {
-    /// As [`Self::new`], for sensing alone: neither the gripper nor the robot is opened.
+    /// As [`Self::new`], for sensing without a robot: neither the gripper nor the robot is opened.
     ///
     /// # Errors
     /// [`HostError`].
@@ -132,7 +132,7 @@ impl Setup {
         Self::with_part_at(&Config { gripper, robot, ..config.clone() }, Place::Holder)
     }
 
-    /// Opens and builds everything that the configuration names, but not the recording.
+    /// Opens and builds everything in the configuration except the recording.
     ///
     /// # Errors
     /// [`HostError`].
@@ -141,7 +141,7 @@ impl Setup {
         Self::with_part_at(config, Place::Holder)
     }
 
-    /// As [`Self::new`], with a simulated part in its goal. A goal that was taught before is not used.
+    /// As [`Self::new`], with a simulated part at its goal. A previously taught goal is ignored.
     ///
     /// # Errors
     /// [`HostError`].
@@ -182,7 +182,8 @@ impl Setup {
     }
 }
 
-/// The part in its goal. A taught goal is of use to the rig and settings that it was taught with: others have other errors.
+/// The part's goal. A taught goal is valid only for its own rig and settings, because others have other
+/// errors.
 fn goal(config: &Config, sensing: &Sensing) -> Result<Pose, HostError> {
     let Some(path) = &config.task.taught else { return Ok(config.task.goal_pose.pose()) };
     let taught = Taught::load(path)?;
@@ -191,7 +192,7 @@ fn goal(config: &Config, sensing: &Sensing) -> Result<Pose, HostError> {
     Ok(taught.goal())
 }
 
-/// Opens where real stereo pairs come from; `None` for the simulated sensor, which needs its world.
+/// Opens the source of real stereo pairs; `None` for the simulated sensor, which needs its world.
 ///
 /// # Errors
 /// [`SourceError`].
@@ -208,7 +209,7 @@ pub fn open_source(source: &SourceConfig) -> Result<Option<Box<dyn FrameSource>>
     })
 }
 
-/// What stands in a recording besides messages: the configuration with its rig, and the part's mesh file.
+/// The configuration for a recording, including its rig.
 ///
 /// # Errors
 /// [`ConfigError`].
@@ -216,14 +217,14 @@ pub fn recorded_config(config: &Config) -> Result<String, ConfigError> {
     Config { rig: Some(config.rig()?), ..config.clone() }.to_toml()
 }
 
-/// Whose clock stamps a recording of this source.
+/// Log clock for a recording of this source.
 #[must_use]
 pub fn log_clock(source: &SourceConfig) -> LogClock {
-    // Nothing of a simulated run comes from a real clock, so that it can be repeated byte for byte.
+    // A simulated run uses no real clock, so that it can be repeated byte for byte.
     if source.is_live() { LogClock::Wall } else { LogClock::Source }
 }
 
-/// Does the job and records it as the configuration says.
+/// Runs the job and records it as configured.
 ///
 /// # Errors
 /// [`HostError`].
@@ -242,9 +243,9 @@ pub fn run(
     result
 }
 
-/// Switches the light off and writes the page, also of a job that broke off: its page shows how far it came.
+/// Switches the light off and writes the page, also for a job that broke off.
 ///
-/// The job is done: neither a light that stays on nor a page that cannot be written hides what came of it.
+/// The job's result takes precedence over a light that stays on or a page that cannot be written.
 fn finish(config: &Config, trace: &Trace, light: LightOn, result: Result<&mut JobReport, &mut HostError>) {
     let light_fault = light.off().err().map(|error| error.to_string());
     match result {
@@ -253,7 +254,7 @@ fn finish(config: &Config, trace: &Trace, light: LightOn, result: Result<&mut Jo
             report.page = config.recording.report.then(|| PageReport::write(config, trace, Ok(report)));
         }
         Err(error) if config.recording.report => {
-            // The error is what matters then.
+            // The job's error takes precedence.
             let _ = PageReport::write(config, trace, Err(error as &dyn Display));
         }
         Err(_) => {}
@@ -268,7 +269,7 @@ fn begin_recording(config: &Config, part: &Part) -> Result<Recording, HostError>
     Ok(Recording::create(&config.recording, content, log_clock(&config.source))?)
 }
 
-/// Teaches the goal and records it as the configuration says; see [`Task::teach`].
+/// Teaches the goal and records it as configured; see [`Task::teach`].
 ///
 /// # Errors
 /// [`HostError`].
@@ -289,7 +290,7 @@ pub fn teach(
     result
 }
 
-/// Teaches the goal with what was set up.
+/// Teaches the goal with the given setup.
 ///
 /// # Errors
 /// [`HostError::Task`].
@@ -304,7 +305,7 @@ pub fn teach_with<'a>(
     Ok(Task::new(config, devices, sensing, goal, sinks, stop).teach(stay)?)
 }
 
-/// Does the job with what was set up.
+/// Runs the job with the given setup.
 ///
 /// # Errors
 /// [`HostError::Task`].
@@ -334,7 +335,7 @@ fn run_traced(
     Ok(report)
 }
 
-/// Holds a job's report against what really happened.
+/// Compares a job's report with the ground truth.
 fn judge(config: &Config, report: &JobReport, truth: &BenchTruth) -> TruthReport {
     let depth_mm = config.task.insertion_depth_mm;
     let outcome_is_true = match report.outcome {

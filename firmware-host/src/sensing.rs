@@ -1,4 +1,4 @@
-//! The pipeline, registration and template behind one door, which the job and the replay share.
+//! Facade over pipeline, registration and template, shared by the job and the replay.
 
 use crate::source::StereoPair;
 use gelstereo_core::image::ImageError;
@@ -11,22 +11,22 @@ use gelstereo_core::rig::Rig;
 use gelstereo_core::track::MarkerState;
 use serde::{Deserialize, Serialize};
 
-/// Why sensing gave no result.
+/// Reason why sensing gave no result.
 #[derive(Debug)]
 pub enum SensingError {
-    /// A buffer is no image.
+    /// A buffer is not a valid image.
     Image(ImageError),
-    /// The pipeline refused.
+    /// Error of the pipeline.
     Pipeline(PipelineError),
-    /// Registration refused.
+    /// Error of the registration.
     Register(RegisterError),
-    /// A part was to be followed, but nothing said where it is expected.
+    /// A part was to be tracked before any expected pose was given.
     NoExpectation,
-    /// A frame shows so few markers that its mean motion says nothing of the gel.
+    /// Too few markers are visible for a meaningful mean motion.
     Lost {
-        /// Markers seen.
+        /// Number of markers seen.
         seen: usize,
-        /// Markers of the lattice.
+        /// Number of lattice markers.
         markers: usize,
     },
 }
@@ -50,29 +50,30 @@ impl std::fmt::Display for SensingError {
 
 impl std::error::Error for SensingError {}
 
-/// What the job asks of the pipeline besides frames. A recording keeps it, so that a replay can ask the same.
+/// Pipeline actions besides frames. They are recorded, so that a replay can repeat them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", tag = "action", deny_unknown_fields)]
 pub enum Action {
-    /// The next frame is the rest frame.
+    /// The next frame becomes the rest frame.
     Reset,
-    /// Motion counts from the last frame on.
+    /// The last frame becomes the reference of motion.
     MarkReference,
-    /// Registration of the last frame's contact, from this guess of `t_sensor_object`.
+    /// Registers the last frame's contact, starting from this guess of `t_sensor_object`.
     Localize {
-        /// Unit quaternion x y z w; kept as it is, since a matrix would lose its last bits.
+        /// Unit quaternion x y z w; stored as such because a conversion to a matrix would change its last
+        /// bits.
         rotation_xyzw: [f64; 4],
         /// Translation.
         translation_mm: [f64; 3],
     },
-    /// The part is expected there (`t_sensor_object`): the next `Follow` looks for it anew.
+    /// Sets the expected pose (`t_sensor_object`); the next `Follow` searches from it.
     Expect {
         /// Unit quaternion x y z w.
         rotation_xyzw: [f64; 4],
         /// Translation.
         translation_mm: [f64; 3],
     },
-    /// Localization of the last frame's contact, from the pose before.
+    /// Localizes the last frame's contact, starting from the previous pose.
     Follow,
 }
 
@@ -86,7 +87,7 @@ impl Action {
         }
     }
 
-    /// The part expected there.
+    /// Expected pose of the part.
     #[must_use]
     pub fn expect(t_sensor_object: &Pose) -> Self {
         Self::Expect {
@@ -96,12 +97,12 @@ impl Action {
     }
 }
 
-/// The sensing stages and what they keep from frame to frame.
+/// The sensing stages and their state between frames.
 #[derive(Clone, Debug)]
 pub struct Sensing {
     pipeline: Pipeline,
     registrar: Registrar,
-    /// Follows the part from frame to frame, once it was said where to expect it.
+    /// Tracks the part from frame to frame, once an expected pose is given.
     localizer: Option<Localizer>,
     tracking: Option<TrackingStatus>,
     template: Template,
@@ -138,19 +139,19 @@ impl Sensing {
         &self.template
     }
 
-    /// How the pose of the last [`Action::Follow`] was come by; `None` if it gave none.
+    /// Tracking status of the last [`Action::Follow`]; `None` if it gave no pose.
     #[must_use]
     pub const fn tracking(&self) -> Option<TrackingStatus> {
         self.tracking
     }
 
-    /// What a later run needs to begin under contact; `None` before the rest frame.
+    /// State with which a later run can start under contact; `None` before the rest frame.
     #[must_use]
     pub fn rest_record(&self) -> Option<RestRecord> {
         self.pipeline.rest_record()
     }
 
-    /// Begins with a recorded rest frame.
+    /// Starts from a recorded rest frame.
     ///
     /// # Errors
     /// [`SensingError::Pipeline`] when it was made with another rig or other settings.
@@ -158,7 +159,7 @@ impl Sensing {
         self.pipeline.resume(record).map_err(SensingError::Pipeline)
     }
 
-    /// Senses one stereo pair.
+    /// Processes one stereo pair.
     ///
     /// # Errors
     /// [`SensingError`].
@@ -169,19 +170,19 @@ impl Sensing {
         Ok(&self.frame)
     }
 
-    /// Whether the last good frame shows enough markers to be acted on.
+    /// Checks whether the last good frame shows enough markers to act on.
     ///
     /// # Errors
-    /// [`SensingError::Lost`] below half of them. Frames of simulated tasks showed 92 % or more (154 frames, 13 x 13
-    /// markers). Where a part dragged the gel by half a pitch from frame to frame they showed 0 to 24 %, and their mean
-    /// motion was 0 px at first.
+    /// [`SensingError::Lost`] if fewer than half of the markers are visible. Frames of simulated tasks
+    /// showed 92 % or more (154 frames, 13 x 13 markers). Where a part dragged the gel by half a pitch
+    /// between frames, they showed 0 to 24 %, with an initial mean motion of 0 px.
     pub fn check_seen(&self) -> Result<(), SensingError> {
         let markers = self.frame.state.len();
         let seen = self.frame.state.iter().filter(|&&state| state == MarkerState::Seen).count();
         if 2 * seen >= markers { Ok(()) } else { Err(SensingError::Lost { seen, markers }) }
     }
 
-    /// Does what was asked; only a localization has a result.
+    /// Runs an action; only a localization has a result.
     ///
     /// # Errors
     /// [`SensingError::Register`] or [`SensingError::NoExpectation`].
@@ -220,18 +221,18 @@ fn pose(rotation_xyzw: &[f64; 4], translation_mm: &[f64; 3]) -> Pose {
     Pose { rotation: DQuat::from_array(*rotation_xyzw), translation_mm: DVec3::from_array(*translation_mm) }
 }
 
-/// A covariance of [`covariance`] in metres and radians, as ROS wants it.
+/// Converts a covariance from [`covariance`] to metres and radians for ROS.
 #[must_use]
 pub fn in_metres(covariance_mm: &Symmetric<6>) -> Symmetric<6> {
     let unit = |i: usize| if i < 3 { 1e-3 } else { 1.0 };
     core::array::from_fn(|i| core::array::from_fn(|j| unit(i) * covariance_mm[i][j] * unit(j)))
 }
 
-/// Covariance of the part's position and rotation in ROS's order (x y z of its origin, then rotations about the axes
-/// of the sensor frame), millimetres and radians.
+/// Covariance of the part's position and rotation in ROS order (x y z of its origin, then rotations about
+/// the axes of the sensor frame), millimetres and radians.
 ///
-/// The information of the contact and that of what was expected beforehand are added, so that a direction that the
-/// contact leaves free has the variance of the expectation: large but finite, as ROS's filters want it.
+/// The information of the contact and of the prior are added. A direction that the contact leaves free
+/// thus has the variance of the prior: large but finite, as ROS filters require.
 #[must_use]
 pub fn covariance(
     information: &Symmetric<6>,
@@ -292,8 +293,8 @@ mod tests {
         }
     }
 
-    /// Sensor-frame rotation known to 1 mrad, translation v to 0.01 mm: a part 30 mm away has a lateral variance of
-    /// 0.01² + (30 * 0.001)².
+    /// Sensor-frame rotation with a sigma of 1 mrad and translation v of 0.01 mm: a part 30 mm away has a
+    /// lateral variance of 0.01² + (30 * 0.001)².
     #[test]
     fn a_rotation_about_the_sensor_moves_a_far_part() {
         let far = Pose::from_translation_mm(DVec3::new(0.0, 0.0, 30.0));

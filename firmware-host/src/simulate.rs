@@ -1,4 +1,4 @@
-//! A scene made into a folder of image pairs with its truth.
+//! Renders a scene to a folder of image pairs with ground truth.
 
 use crate::part::{Part, PartError};
 use gelstereo_core::rig::Rig;
@@ -6,32 +6,32 @@ use gelstereo_sim::{Plan, Scene, SceneError, Shape, Simulator, Truth};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Why a scene gave no images.
+/// Reason why a scene could not be rendered.
 #[derive(Debug)]
 pub enum SimulateError {
     /// The scene's file cannot be read.
     Read {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
-        /// The system's answer.
+        /// The system's error.
         error: std::io::Error,
     },
-    /// The text is no scene.
+    /// The text is not a valid scene.
     Parse {
-        /// Which file.
+        /// Path of the file.
         path: PathBuf,
-        /// What is wrong, with the line.
+        /// The parse error, with the line.
         error: toml::de::Error,
     },
-    /// The scene makes no sense.
+    /// The scene's values are invalid.
     Scene(SceneError),
-    /// The indenter's mesh.
+    /// The indenter's mesh cannot be loaded.
     Part(PartError),
     /// A file cannot be written.
     Write {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
-        /// Why.
+        /// The reason.
         message: String,
     },
 }
@@ -50,21 +50,22 @@ impl std::fmt::Display for SimulateError {
 
 impl std::error::Error for SimulateError {}
 
-/// What became of a scene.
+/// Result of rendering a scene.
 #[derive(Clone, Debug)]
 pub struct Simulated {
     /// Image pairs written.
     pub frames: usize,
-    /// Which effects were computed and why.
+    /// Effects that were computed, with reasons.
     pub plan: Plan,
 }
 
-/// Writes `left_00000.png`, `right_00000.png`, `truth_00000.csv` and so on, and the scene with all its defaults as
-/// `scene.toml`, and the rig as `rig.toml`. Frames that the scene drops are left out; the others keep their numbers.
+/// Writes `left_00000.png`, `right_00000.png`, `truth_00000.csv` and so on, the scene with all its
+/// defaults as `scene.toml`, and the rig as `rig.toml`. Frames that the scene drops are left out; the
+/// others keep their numbers.
 ///
-/// The truth has a row per marker, `row * cols + col`: x_mm, y_mm, z_mm (sensor frame), indentation_mm, in_contact,
-/// left_x_px, left_y_px, right_x_px, right_y_px. A scene that asks for positions gives no images, and one that asks for
-/// points no pixels either: neither is computed.
+/// The truth has a row per marker, `row * cols + col`: x_mm, y_mm, z_mm (sensor frame), indentation_mm,
+/// in_contact, left_x_px, left_y_px, right_x_px, right_y_px. A scene that requests positions gives no
+/// images, and one that requests points gives no pixels either; neither is computed.
 ///
 /// # Errors
 /// [`SimulateError`].
@@ -123,7 +124,7 @@ pub fn simulate(
     Ok(Simulated { frames, plan })
 }
 
-/// Both images of a frame.
+/// Writes both images of a frame.
 fn save(folder: &Path, frame: usize, images: &[Vec<u8>; 2], rig: &Rig) -> Result<(), SimulateError> {
     let views = [("left", &rig.left), ("right", &rig.right)];
     for ((name, camera), pixels) in views.into_iter().zip(images) {
@@ -145,7 +146,7 @@ fn write(path: &Path, bytes: &[u8]) -> Result<(), SimulateError> {
         .map_err(|error| SimulateError::Write { path: path.to_owned(), message: error.to_string() })
 }
 
-/// The markers, with their pixels where the cameras were looked through.
+/// Table of the markers, with pixels where they were computed.
 fn table(truth: &Truth) -> String {
     let seen = truth.left_px.len() == truth.points_mm.len();
     let mut text = String::from("x_mm,y_mm,z_mm,indentation_mm,in_contact");

@@ -1,7 +1,9 @@
-//! A taught goal: where the gripper held the part in its goal, and how the part was localized there (section V-A).
+//! A taught goal: the gripper's pose with the part at its goal, and the part's localized pose there
+//! (section V-A).
 //!
-//! Errors that are the same whenever a part is localized (the sensor's mount, the robot's base, the template's origin) are
-//! in the taught pose as they are in that of the next part, so that they cancel when the one is brought onto the other.
+//! Errors common to all localizations (the sensor's mount, the robot's base, the template's origin)
+//! affect the taught pose and the pose of the next part equally. They cancel when one is brought onto the
+//! other.
 
 use crate::sensing::SensingError;
 use gelstereo_core::math::Pose;
@@ -12,17 +14,17 @@ use std::path::{Path, PathBuf};
 /// Version of the file.
 pub const VERSION: u32 = 1;
 
-/// What `gelstereo-host teach` writes, as JSON.
+/// File written by `gelstereo-host teach`, as JSON.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Taught {
     /// [`VERSION`].
     pub version: u32,
-    /// Gripper in the base frame, with the part in its goal between the fingers.
+    /// Gripper in the base frame, with the part at its goal between the fingers.
     pub t_base_gripper: Pose,
-    /// Part in the gripper frame, as it was localized there.
+    /// Localized pose of the part in the gripper frame.
     pub t_gripper_object: Pose,
-    /// Opening width then.
+    /// Opening width at the same time.
     pub width_mm: f64,
     /// Standard deviations of x y z, millimetres, then rotations, radians (sensor frame).
     pub sigma: [f64; 6],
@@ -30,37 +32,37 @@ pub struct Taught {
     pub rest: RestRecord,
 }
 
-/// Why a taught goal cannot be used.
+/// Reason why a taught goal cannot be used.
 #[derive(Debug)]
 pub enum TaughtError {
     /// The file cannot be read or written.
     Io {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
-        /// What was tried: `read` or `write`.
+        /// The operation: `read` or `write`.
         doing: &'static str,
-        /// The system's answer.
+        /// The system's error.
         error: std::io::Error,
     },
-    /// The file holds no taught goal.
+    /// The file is not a taught goal.
     Parse {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
-        /// What is wrong, with the line.
+        /// The parse error, with the line.
         error: serde_json::Error,
     },
-    /// The goal was taught with another rig or other settings, whose errors are others.
+    /// Path of the file.
     Settings {
-        /// Which file.
+        /// The difference.
         path: PathBuf,
         /// What differs.
         error: SensingError,
     },
-    /// The file is of another version.
+    /// The file has another version.
     Version {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
-        /// What it says.
+        /// Version of the file.
         found: u32,
     },
 }
@@ -96,7 +98,7 @@ impl std::fmt::Display for TaughtError {
 impl std::error::Error for TaughtError {}
 
 impl Taught {
-    /// The goal of the part (`t_base_object`), with the errors of the localization in it.
+    /// The part's goal (`t_base_object`), including the errors of the localization.
     #[must_use]
     pub fn goal(&self) -> Pose {
         self.t_base_gripper * self.t_gripper_object
@@ -114,7 +116,7 @@ impl Taught {
             error,
         })?;
         let value: serde_json::Value = serde_json::from_str(&text).map_err(fail)?;
-        // The version comes first: a later one may have other keys.
+        // The version is checked first: later versions may have other keys.
         match value.get("version").and_then(serde_json::Value::as_u64) {
             Some(found) if found != u64::from(VERSION) => {
                 Err(TaughtError::Version { path: path.to_owned(), found: found as u32 })
@@ -123,7 +125,7 @@ impl Taught {
         }
     }
 
-    /// Writes a file; an older one is replaced as a whole.
+    /// Writes a file; an existing one is replaced atomically.
     ///
     /// # Errors
     /// [`TaughtError::Io`] or [`TaughtError::Parse`].

@@ -1,7 +1,8 @@
 """How much a registered pose scatters by the noise of a recording, beside its predicted covariance.
 
-Part of ``python -m gelstereo_bench.reports.recordings``. No part in the recording rests: it is moved by hand. So the noise
-of frames that nothing touches is put on a pressed frame; and in the stillest frames a parabola over time is taken out.
+Part of ``python -m gelstereo_bench.reports.recordings``. No part in the recording rests: it is moved by hand. So the
+noise of frames that nothing touches is put on a pressed frame; and in the stillest
+frames a parabola over time is taken out.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-//! Arrays in and out. Results are moved to NumPy and handed out read-only; inputs are borrowed where their memory
-//! allows it.
+//! Conversion of arrays. Results are moved to NumPy and returned read-only; inputs are borrowed where
+//! their memory layout allows it.
 
 use crate::errors::{ImageError, PoseError, ShapeError, raise};
 use bytemuck::{AnyBitPattern, NoUninit};
@@ -46,12 +46,12 @@ where
     Ok(array.unbind())
 }
 
-/// A read-only (4, 4) matrix of a pose.
+/// A pose as a read-only (4, 4) matrix.
 pub fn pose_matrix(py: Python<'_>, pose: &Pose) -> PyResult<Matrix> {
     matrix(py, pose.to_rows())
 }
 
-/// Numbers of any real type as a C-contiguous float64 array; without a copy if they are one already.
+/// Numbers of any real type as a C-contiguous float64 array; copied only if they are not one already.
 pub struct Numbers<'py> {
     array: PyReadonlyArrayDyn<'py, f64>,
     name: &'static str,
@@ -59,7 +59,7 @@ pub struct Numbers<'py> {
 
 impl<'py> Numbers<'py> {
     pub fn new(object: &Bound<'py, PyAny>, name: &'static str) -> PyResult<Self> {
-        // Most are what is wanted already, and asking NumPy takes microseconds.
+        // Most inputs have the right type already, and a NumPy conversion takes microseconds.
         if let Ok(array) = object.cast::<PyArrayDyn<f64>>()
             && array.is_c_contiguous()
             && array.ndim() > 0
@@ -109,7 +109,7 @@ impl<'py> Numbers<'py> {
         Ok(self.array.as_slice()?)
     }
 
-    /// The numbers of an array of any of the shapes with N numbers that OpenCV uses: (N,), (N, 1), (1, N).
+    /// The numbers of an array of any OpenCV shape for N numbers: (N,), (N, 1), (1, N).
     pub fn flat(&self) -> PyResult<&[f64]> {
         Ok(self.array.as_slice()?)
     }
@@ -136,8 +136,8 @@ impl<'py> Numbers<'py> {
     }
 }
 
-/// A whole number from 0 on. PyO3's own conversion of one that is negative or too large is an `OverflowError` that
-/// does not say what would be valid.
+/// A non-negative integer. PyO3's own conversion of a negative or too large one raises an `OverflowError`
+/// that does not state the valid range.
 #[derive(Clone, Copy)]
 pub struct Count(pub usize);
 
@@ -163,8 +163,8 @@ pub fn pose(object: &Bound<'_, PyAny>, name: &'static str) -> PyResult<Pose> {
     Pose::from_rows(&values).map_err(|e| PoseError::new_err(format!("{name}: {e}")))
 }
 
-/// An image, borrowed if its rows lie one after another, copied if not (a slice of a larger image, every second
-/// pixel, a flipped view).
+/// An image, borrowed if its rows are contiguous, copied otherwise (a slice of a larger image, every
+/// second pixel, a flipped view).
 pub enum Image<'py> {
     Borrowed(PyReadonlyArray2<'py, u8>),
     Copied { bytes: Vec<u8>, height: usize, width: usize },
@@ -192,7 +192,7 @@ impl<'py> Image<'py> {
         let (height, width) = view.dim();
         let mut bytes = Vec::with_capacity(height * width);
         for row in view.rows() {
-            // One half of a side-by-side frame has whole rows.
+            // One half of a side-by-side frame has contiguous rows.
             match row.as_slice() {
                 Some(row) => bytes.extend_from_slice(row),
                 None => bytes.extend(row.iter()),
@@ -210,7 +210,7 @@ impl<'py> Image<'py> {
     }
 }
 
-/// "a float32 array (480, 640)", "a list".
+/// Describes an object for messages: "a float32 array (480, 640)", "a list".
 fn describe(object: &Bound<'_, PyAny>) -> String {
     if let Ok(array) = object.cast::<PyUntypedArray>() {
         return format!("a {} array {}", array.dtype(), shape_text(array.shape()));

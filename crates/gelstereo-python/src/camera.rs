@@ -16,7 +16,7 @@ use std::time::{Duration, Instant};
 
 type GrayArray = Py<PyArray2<u8>>;
 
-/// So often a waiting call looks for Ctrl-C, and lets other threads at the camera.
+/// Interval at which a waiting call checks for Ctrl-C and releases the camera to other threads.
 const SLICE: Duration = Duration::from_millis(50);
 
 /// A video node of this computer.
@@ -24,10 +24,9 @@ const SLICE: Duration = Duration::from_millis(50);
 pub struct CameraInfo {
     /// Path of the device node.
     path: String,
-    /// The driver's name for it.
+    /// Name given by the driver.
     name: String,
-    /// "capture" (it gives frames), "metadata", "multiplanar", "other", or "unknown" where it cannot be
-    /// opened.
+    /// "capture" (delivers frames), "metadata", "multiplanar", "other", or "unknown" if it cannot be opened.
     kind: String,
     /// USB serial number.
     serial: Option<String>,
@@ -39,9 +38,9 @@ pub struct CameraInfo {
     manufacturer: Option<String>,
     /// USB product in words.
     product: Option<String>,
-    /// The node's number among those of one camera; frames are usually in 0.
+    /// Index of the node among those of one camera; frames are usually in 0.
     index: u32,
-    /// Where it is connected: its device in ``/sys/devices``. A camera at the same USB port has the same one.
+    /// Its device in ``/sys/devices``. A camera at the same USB port has the same one.
     port: Option<String>,
     /// Why it cannot be opened.
     problem: Option<String>,
@@ -80,10 +79,10 @@ impl CameraInfo {
     }
 }
 
-/// A control of a camera, as its driver describes it.
+/// A control of a camera, as described by its driver.
 #[pyclass(frozen, module = "gelstereo.cameras", get_all)]
 pub struct CameraControl {
-    /// Name, as ``v4l2-ctl`` shows it.
+    /// Name, as shown by ``v4l2-ctl``.
     name: String,
     /// "integer", "boolean", "menu", "button" or "bitmask".
     kind: String,
@@ -91,15 +90,15 @@ pub struct CameraControl {
     minimum: i64,
     /// Largest value.
     maximum: i64,
-    /// Distance of valid values.
+    /// Step between valid values.
     step: u64,
-    /// The driver's default.
+    /// Default of the driver.
     default: i64,
-    /// The value now; None where it cannot be read.
+    /// Present value; None if it cannot be read.
     value: Option<i64>,
     /// Whether it cannot be written.
     read_only: bool,
-    /// Whether another control, such as an automatic one, makes it useless now.
+    /// Whether another control, such as an automatic one, disables it at present.
     inactive: bool,
     /// Items of a menu: value and name.
     menu: Vec<(i64, String)>,
@@ -140,14 +139,14 @@ impl CameraControl {
     }
 }
 
-/// A stereo pair of a camera, or word that there is no new one.
+/// A stereo pair of a camera, or a notice that there is no new one.
 #[pyclass(frozen, module = "gelstereo.cameras")]
 pub struct CameraFrame {
     left: GrayArray,
     right: GrayArray,
     capture: source::Capture,
-    /// Whether the images are those of an earlier frame, because no newer ones came. Before the first pair
-    /// they are black.
+    /// Whether the images are those of an earlier frame, because no newer ones arrived. They are black
+    /// before the first pair.
     #[pyo3(get)]
     stale: bool,
     event: Option<SourceEvent>,
@@ -168,40 +167,41 @@ impl CameraFrame {
         self.right.clone_ref(py)
     }
 
-    /// The driver's frame number; of two devices, the left one's.
+    /// Frame number of the driver; with two devices, that of the left one.
     #[getter]
     fn sequence(&self) -> u64 {
         self.capture.sequence
     }
 
-    /// When the driver had the later of both images, nanoseconds of ``time.monotonic_ns()``; None before the
-    /// first pair.
+    /// Time when the driver had the later of both images, nanoseconds of ``time.monotonic_ns()``; None
+    /// before the first pair.
     #[getter]
     fn driver_ns(&self) -> Option<u64> {
         self.capture.driver_ns
     }
 
-    /// When both images were decoded, nanoseconds of ``time.monotonic_ns()``; None before the first pair.
+    /// Time when both images were decoded, nanoseconds of ``time.monotonic_ns()``; None before the first
+    /// pair.
     #[getter]
     fn received_ns(&self) -> Option<u64> {
         self.capture.received_ns
     }
 
-    /// Pairs that were lost or passed over since the pair before.
+    /// Pairs lost or skipped since the previous pair.
     #[getter]
     fn dropped(&self) -> u64 {
         self.capture.dropped
     }
 
-    /// Right image's time minus the left one's, nanoseconds; 0 for one stereo device.
+    /// Time of the right image minus that of the left one, nanoseconds; 0 for one stereo device.
     #[getter]
     fn skew_ns(&self) -> i64 {
         self.capture.skew_ns
     }
 
-    /// What happened in place of a new pair: a dictionary with ``"event"`` (``"connected"``,
-    /// ``"disconnected"``, ``"stalled"``, ``"corrupt"``, ``"sequence"``, ``"timestamp"``, ``"skewed"``),
-    /// details and ``"text"``. None for a pair, and when nothing happened at all.
+    /// Event in place of a new pair: a dictionary with ``"event"`` (``"connected"``, ``"disconnected"``,
+    /// ``"stalled"``, ``"corrupt"``, ``"sequence"``, ``"timestamp"``, ``"skewed"``), details and
+    /// ``"text"``. None for a pair, and when nothing happened.
     #[getter]
     fn event<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyDict>>> {
         let Some(event) = &self.event else { return Ok(None) };
@@ -210,8 +210,8 @@ impl CameraFrame {
         Ok(Some(dict))
     }
 
-    /// The JPEG files of the images as the camera sent them: one that holds both views, or the left and the
-    /// right one; empty where the camera sends plain pixels or ``keep_encoded`` is off.
+    /// The JPEG files of the images as sent by the camera: one with both views, or the left and the right
+    /// one. Empty if the camera sends plain pixels or ``keep_encoded`` is off.
     #[getter]
     fn encoded<'py>(&self, py: Python<'py>) -> Vec<Bound<'py, PyBytes>> {
         match &*self.encoded {
@@ -235,7 +235,7 @@ impl CameraFrame {
     }
 }
 
-/// The last pair's images and how they were captured: what a stale frame shows.
+/// The last pair's images and capture data, returned in stale frames.
 struct Last {
     left: GrayArray,
     right: GrayArray,
@@ -243,11 +243,11 @@ struct Last {
     capture: source::Capture,
 }
 
-/// A stereo camera that streams; made by `gelstereo.cameras.open`.
+/// A streaming stereo camera, created by `gelstereo.cameras.open`.
 ///
-/// Iterating over it gives a `CameraFrame` for each pair, for each event, and for each time that nothing came
-/// within ``timeout_s``: the loop never hangs. What is unplugged, reset or silent is opened again by itself.
-/// Used as a context manager it is closed at the end.
+/// Iteration yields a `CameraFrame` for each pair, each event, and each timeout of ``timeout_s``, so the
+/// loop never hangs. A device that is unplugged, reset or silent is reopened automatically. As a context
+/// manager it is closed at the end.
 #[pyclass(frozen, module = "gelstereo.cameras")]
 pub struct Camera {
     source: Mutex<Option<CameraSource>>,
@@ -257,7 +257,7 @@ pub struct Camera {
 }
 
 impl Camera {
-    /// Does something with the camera, without the interpreter's lock.
+    /// Runs an operation on the camera with the interpreter's lock released.
     fn with<T: Send>(&self, py: Python<'_>, work: impl FnOnce(&mut CameraSource) -> T + Send) -> PyResult<T> {
         let done = py.detach(|| lock(&self.source).as_mut().map(work));
         done.ok_or_else(|| {
@@ -265,7 +265,7 @@ impl Camera {
         })
     }
 
-    /// The next pair or event, or `None` when nothing came in time.
+    /// The next pair or event, or `None` after the timeout.
     fn wait(&self, py: Python<'_>, timeout: Duration, pair: &mut StereoPair) -> PyResult<Option<Next>> {
         let begun = Instant::now();
         loop {
@@ -316,7 +316,7 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// An image that takes over the pixels' memory.
+/// An image array that takes over the pixels' memory.
 fn array(py: Python<'_>, image: Gray) -> PyResult<GrayArray> {
     arrays::shaped(py, image.pixels, (image.height, image.width))
 }
@@ -349,19 +349,19 @@ impl Camera {
         Ok(Self { source: Mutex::new(Some(source)), last: Mutex::new(last), timeout, devices })
     }
 
-    /// The devices as they were when they were opened: the stereo device, or the left and the right one.
+    /// The devices as found when they were opened: the stereo device, or the left and the right one.
     #[getter]
     fn devices(&self) -> Vec<CameraInfo> {
         self.devices.iter().map(CameraInfo::new).collect()
     }
 
-    /// Whether it was closed.
+    /// Whether the camera was closed.
     #[getter]
     fn closed(&self, py: Python<'_>) -> bool {
         py.detach(|| lock(&self.source).is_none())
     }
 
-    /// All settings, defaults included, as `gelstereo-host` reads them in ``[source]``.
+    /// All settings including defaults, in the form of ``[source]`` of `gelstereo-host`.
     #[getter]
     fn settings<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let config = self.with(py, |source| source.config().clone())?;
@@ -390,18 +390,18 @@ impl Camera {
         self.frame(py, timeout)
     }
 
-    /// Counts since it was opened (``pairs``, ``dropped``, ``corrupt``, ``skewed``, ``sequence_faults``,
-    /// ``timestamp_faults``, ``stalls``, ``disconnects``, ``connects``, ``lost_events``); over the last 1024
-    /// pairs ``rate_hz``, ``camera_rate_hz`` (lost pairs included) and the time from the driver's timestamp
-    /// to the decoded pair: ``latency_p50_ms``, ``latency_p99_ms``, ``latency_max_ms``. What is not known yet
-    /// is left out.
+    /// Counts since the camera was opened: ``pairs``, ``dropped``, ``corrupt``, ``skewed``,
+    /// ``sequence_faults``, ``timestamp_faults``, ``stalls``, ``disconnects``, ``connects``,
+    /// ``lost_events``. Over the last 1024 pairs: ``rate_hz``, ``camera_rate_hz`` (lost pairs included)
+    /// and the time from the driver's timestamp to the decoded pair, ``latency_p50_ms``,
+    /// ``latency_p99_ms``, ``latency_max_ms``. Values not yet known are left out.
     #[getter]
     fn statistics<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let statistics = self.with(py, |source| source.statistics())?;
         tree::to_dict(py, &statistics)
     }
 
-    /// Controls of the stereo device, or of the left one, with their values.
+    /// Controls of the stereo device, or of the left device, with their values.
     ///
     /// Raises
     /// ------
@@ -413,7 +413,7 @@ impl Camera {
         Ok(controls.into_iter().map(CameraControl::new).collect())
     }
 
-    /// Set controls of all its devices, now and whenever they are opened again.
+    /// Set controls of all devices of the camera, now and whenever they are reopened.
     ///
     /// Parameters
     /// ----------
@@ -440,7 +440,7 @@ impl Camera {
         self.with(py, |source| source.set_controls(&settings))?.map_err(raise)
     }
 
-    /// Close the devices. The camera is of no use afterwards; closing it again does nothing.
+    /// Close the devices. The camera cannot be used afterwards; closing it again has no effect.
     fn close(&self, py: Python<'_>) {
         py.detach(|| drop(lock(&self.source).take()));
     }
@@ -468,14 +468,14 @@ impl Camera {
     }
 }
 
-/// The video nodes of this computer, by their numbers; see `gelstereo.cameras.list`.
+/// The video nodes of this computer, ordered by number; see `gelstereo.cameras.list`.
 #[pyfunction]
 pub fn list_cameras(py: Python<'_>) -> PyResult<Vec<CameraInfo>> {
     let cameras = py.detach(host::list).map_err(raise)?;
     Ok(cameras.iter().map(CameraInfo::new).collect())
 }
 
-/// Both views of a frame as a driver gives it; see `gelstereo.cameras.decode`.
+/// Decode both views of a frame in a driver's format; see `gelstereo.cameras.decode`.
 #[pyfunction]
 #[pyo3(signature = (data, format, size_px, layout, stride))]
 pub fn decode_camera_frame(

@@ -1,4 +1,4 @@
-//! What is asked of a template's exact surface: nearest points, what the mesh lacks, and its symmetries.
+//! Queries on a template's exact surface: nearest points, mesh defects, and symmetries.
 
 use crate::arrays::{self, Array1, Matrix, Numbers};
 use crate::errors::{TemplateError, raise};
@@ -10,23 +10,24 @@ use gelstereo_core::surface::{self, Facing, Feature, Solid, SolidReport};
 use numpy::PyArray2;
 use pyo3::prelude::*;
 
-/// The nearest points of a surface, a row for every point asked about. Where nothing is within reach, the distance is
-/// infinite, the triangle -1, and points and normals are NaN.
+/// The nearest points of a surface, one row per query point. Where nothing is within reach, the distance
+/// is infinite, the triangle -1, and points and normals are NaN.
 #[pyclass(frozen, get_all, module = "gelstereo")]
 pub struct Closest {
     /// (N, 3) points of the surface, object frame.
     points_mm: Matrix,
-    /// (N, 3) outward unit normals there: at an edge or vertex the angle-weighted mean of the faces'.
+    /// (N, 3) outward unit normals at the points; at an edge or vertex the angle-weighted mean of the
+    /// faces' normals.
     normals: Matrix,
-    /// (N,) distances, positive on the side that the normal points to: outside, if the surface is closed.
+    /// (N,) distances, positive on the side of the normal: outside, if the surface is closed.
     distances_mm: Array1<f64>,
-    /// (N,) triangles of the mesh; of several at the same distance the first one.
+    /// (N,) triangles of the mesh; the first of several at the same distance.
     triangles: Array1<i64>,
-    /// (N,) what the points lie on: 0 a face, 1 an edge, 2 a vertex.
+    /// (N,) features that contain the points: 0 a face, 1 an edge, 2 a vertex.
     features: Array1<u8>,
 }
 
-/// Every point's answer. The first guess is `near`, or the triangle of the point before.
+/// Searches for every point. The initial guess is `near`, or the triangle of the previous point.
 pub fn search(
     py: Python<'_>,
     solid: &Solid,
@@ -37,11 +38,11 @@ pub fn search(
     let (mut last, mut next) = (None, 0..);
     let one = |&p: &DVec3| {
         let k = next.next().unwrap_or_default();
-        // A cast that saturates: what is no triangle is a guess as good as none.
+        // Saturating cast: an invalid triangle index acts as no guess.
         last = near.map(|near| near[k] as u32).or(last);
         let found = match facing {
             Some(directions) => {
-                // A positive product, whatever the length.
+                // Requires a positive product, whatever the direction's length.
                 let facing = Facing { direction: directions[k], least_cosine: f64::MIN_POSITIVE };
                 solid.closest_facing(p, &facing, reach_mm, last)
             }
@@ -84,7 +85,7 @@ impl Closest {
     }
 }
 
-/// What a mesh is as the boundary of a body. Nothing of it keeps distances from being exact.
+/// Properties of a mesh as the boundary of a body. Distances are exact despite any of these defects.
 #[pyclass(frozen, module = "gelstereo")]
 pub struct Surface {
     pub inner: SolidReport,
@@ -98,7 +99,7 @@ impl Surface {
         self.inner.triangles
     }
 
-    /// Triangles without an area beyond the rounding of their coordinates.
+    /// Triangles whose area is zero within the rounding of their coordinates.
     #[getter]
     const fn degenerate(&self) -> usize {
         self.inner.degenerate
@@ -110,19 +111,19 @@ impl Surface {
         self.inner.duplicates
     }
 
-    /// Edges with a triangle on one side alone: the rims of holes.
+    /// Edges with a triangle on one side only: the rims of holes.
     #[getter]
     const fn boundary_edges(&self) -> usize {
         self.inner.boundary_edges
     }
 
-    /// Edges along which two triangles run the same way, so that one of them is inside out.
+    /// Edges along which two triangles have the same orientation, so that one of them is inside out.
     #[getter]
     const fn clashing_edges(&self) -> usize {
         self.inner.clashing_edges
     }
 
-    /// Edges that more than two triangles share.
+    /// Edges shared by more than two triangles.
     #[getter]
     const fn crowded_edges(&self) -> usize {
         self.inner.crowded_edges
@@ -134,7 +135,7 @@ impl Surface {
         self.inner.volume_mm3
     }
 
-    /// Whether the surface parts inside from outside, so that the sign of a distance is known everywhere.
+    /// Whether the surface separates inside from outside, so that the sign of a distance is known everywhere.
     #[getter]
     const fn is_closed(&self) -> bool {
         self.inner.is_closed()
@@ -152,7 +153,7 @@ impl Surface {
     }
 }
 
-/// Turn triangles so that neighbours face the same way, and outward.
+/// Turn triangles so that neighbours have consistent orientation, facing outward.
 ///
 /// Parameters
 /// ----------
@@ -188,7 +189,7 @@ pub fn turned_outward(
     Ok((arrays::shaped(py, names, shape)?, turned.stray, turned.inside_out, surface))
 }
 
-/// An axis about which a part can be turned and looks the same.
+/// An axis of symmetry: the part looks the same after a turn about it.
 #[pyclass(frozen, module = "gelstereo")]
 pub struct Symmetry {
     inner: core::Symmetry,
@@ -248,7 +249,7 @@ impl Symmetry {
         arrays::list(py, self.inner.centre_mm.to_array().to_vec())
     }
 
-    /// After how many equal turns the part is back; ``None`` if any turn will do.
+    /// Number of equal turns that make up a full turn; ``None`` if any turn is a symmetry.
     #[getter]
     const fn order(&self) -> Option<u32> {
         self.inner.order

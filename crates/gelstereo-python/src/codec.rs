@@ -1,4 +1,5 @@
-//! Codecs of HID devices: commands to bytes, answers from bytes. `gelstereo.hid` carries them by hidapi.
+//! Codecs of HID devices: commands to bytes, and bytes to responses. `gelstereo.hid` transfers them with
+//! hidapi.
 
 use crate::errors::{HidError, raise};
 use gelstereo_host::codec::blink1::{self, Command, Led, Rgb, Version};
@@ -48,13 +49,13 @@ impl TaraRequest {
     #[classattr]
     const CONTROL_DESCRIPTOR_BYTES: usize = tara::CONTROL_DESCRIPTOR_BYTES;
 
-    /// Read the firmware's version; the answer is a str.
+    /// Read the firmware version; the answer is a str.
     #[staticmethod]
     fn firmware() -> Self {
         Self(Request::Firmware)
     }
 
-    /// Read the number that is unique to this camera; the answer is an int.
+    /// Read the unique number of this camera; the answer is an int.
     #[staticmethod]
     fn unique_id() -> Self {
         Self(Request::UniqueId)
@@ -72,13 +73,13 @@ impl TaraRequest {
         Ok(Self(Request::SetExposure(exposure(exposure_us)?)))
     }
 
-    /// Read what starts a frame; the answer is "master" (the camera's clock) or "trigger".
+    /// Read the source of the frame trigger; the answer is "master" (the camera's clock) or "trigger".
     #[staticmethod]
     fn stream_mode() -> Self {
         Self(Request::StreamMode)
     }
 
-    /// Set what starts a frame: "master" or "trigger".
+    /// Set the source of the frame trigger: "master" or "trigger".
     #[staticmethod]
     fn set_stream_mode(mode: &str) -> PyResult<Self> {
         Ok(Self(Request::SetStreamMode(stream_mode(mode)?)))
@@ -90,7 +91,7 @@ impl TaraRequest {
         Self(Request::Hdr)
     }
 
-    /// Switch high dynamic range.
+    /// Switch high dynamic range on or off.
     #[staticmethod]
     fn set_hdr(on: bool) -> Self {
         Self(Request::SetHdr(on))
@@ -114,19 +115,19 @@ impl TaraRequest {
         Ok(PyBytes::new(py, &self.0.encode().map_err(raise)?))
     }
 
-    /// What the command does, for error messages.
+    /// Description of the command, for error messages.
     #[getter]
     fn name(&self) -> &'static str {
         self.0.name()
     }
 
-    /// How long the camera may take for the answer, seconds.
+    /// Longest time for the camera's answer, seconds.
     #[getter]
     fn timeout_s(&self) -> f64 {
         self.0.timeout().as_secs_f64()
     }
 
-    /// Read a report that came after the command was sent.
+    /// Decode a report that arrived after the command was sent.
     ///
     /// Parameters
     /// ----------
@@ -160,7 +161,7 @@ impl TaraRequest {
     }
 }
 
-/// A calibration file of a Tara as its packets come in.
+/// A calibration file of a Tara, assembled from its packets.
 ///
 /// Parameters
 /// ----------
@@ -176,7 +177,7 @@ impl TaraAssembly {
         Self(Assembly::new(length))
     }
 
-    /// Whether all bytes have come.
+    /// Whether all bytes have arrived.
     #[getter]
     fn is_complete(&self) -> bool {
         self.0.is_complete()
@@ -201,7 +202,7 @@ impl TaraAssembly {
         self.0.push(&Packet { number, data }).map_err(raise)
     }
 
-    /// The bytes that have come.
+    /// The bytes received so far.
     #[getter]
     fn data<'py>(&self, py: Python<'py>) -> Bound<'py, PyBytes> {
         PyBytes::new(py, self.0.bytes())
@@ -239,8 +240,8 @@ impl Blink1Command {
     #[classattr]
     const PRODUCT: u16 = blink1::PRODUCT;
 
-    /// Change to a colour (red, green, blue; 0 to 255 each) within a time, milliseconds (0 to 655350). ``led`` is 0 for
-    /// all lights, 1 or 2.
+    /// Fade to a colour (red, green, blue; 0 to 255 each) within a time, milliseconds (0 to 655350).
+    /// ``led`` is 0 for all lights, 1 or 2.
     #[staticmethod]
     #[pyo3(signature = (color, fade_ms, led=0))]
     fn fade(color: [i64; 3], fade_ms: i64, led: i64) -> PyResult<Self> {
@@ -261,26 +262,26 @@ impl Blink1Command {
         Ok(Self(Command::Set { color: rgb(color)?, led: self::led(led)? }))
     }
 
-    /// Read the colour of a light; `decode_color` reads the answer.
+    /// Read the colour of a light; `decode_color` decodes the answer.
     #[staticmethod]
     #[pyo3(signature = (led=0))]
     fn read(led: i64) -> PyResult<Self> {
         Ok(Self(Command::Read { led: self::led(led)? }))
     }
 
-    /// Read the firmware's version; `decode_version` reads the answer.
+    /// Read the firmware version; `decode_version` decodes the answer.
     #[staticmethod]
     fn version() -> Self {
         Self(Command::Version)
     }
 
-    /// The feature report to send, 9 bytes with the report number 1 first.
+    /// The feature report to send: 9 bytes, starting with the report number 1.
     #[getter]
     fn report<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
         Ok(PyBytes::new(py, &self.0.encode().map_err(raise)?))
     }
 
-    /// Read the feature report that was fetched after ``read`` was sent.
+    /// Decode the feature report fetched after ``read`` was sent.
     ///
     /// Returns
     /// -------
@@ -297,7 +298,7 @@ impl Blink1Command {
         Ok((red, green, blue))
     }
 
-    /// Read the feature report that was fetched after ``version`` was sent.
+    /// Decode the feature report fetched after ``version`` was sent.
     ///
     /// Returns
     /// -------
@@ -315,7 +316,8 @@ impl Blink1Command {
     }
 }
 
-/// The udev rule that lets the group plugdev, and whoever sits at the computer, open the HID nodes of a product.
+/// The udev rule that lets the group plugdev and the user logged in at the computer open a product's HID
+/// nodes.
 #[pyfunction]
 pub fn hid_udev_rule(vendor: u16, product: u16) -> String {
     gelstereo_host::hid::udev_rule(vendor, product)

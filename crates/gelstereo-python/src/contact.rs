@@ -1,4 +1,4 @@
-//! The rest surface and what rises above it.
+//! The rest surface and contact detection.
 
 use crate::arrays::{self, Array1, Count, Matrix, Numbers};
 use crate::errors::raise;
@@ -7,7 +7,7 @@ use gelstereo_core::math::DVec3;
 use gelstereo_core::track::MarkerState;
 use pyo3::prelude::*;
 
-/// The markers when nothing touches the gel, and the plane through them.
+/// The markers without contact, and the plane fitted through them.
 ///
 /// Parameters
 /// ----------
@@ -37,7 +37,7 @@ impl RestSurface {
         Ok(Self { inner: core::RestSurface::new(points.rows::<DVec3, 3>()?).map_err(raise)? })
     }
 
-    /// (N, 3) the rest markers, sensor frame.
+    /// (N, 3) positions of the markers at rest, sensor frame.
     #[getter]
     fn points_mm(&self, py: Python<'_>) -> PyResult<Matrix> {
         arrays::rows::<_, 3>(py, self.inner.points_mm().to_vec())
@@ -87,7 +87,7 @@ impl RestSurface {
     }
 }
 
-/// Markers in contact by the pressure of the gel (`contact.saliency = "pressure"`).
+/// Find the markers in contact from the gel's pressure (`contact.saliency = "pressure"`).
 ///
 /// Parameters
 /// ----------
@@ -105,7 +105,8 @@ impl RestSurface {
 /// -------
 /// salient : (rows * cols,) bool
 /// pressure_mm : (rows * cols,) float64
-///     Pressure per stiffness by each marker's own differences; its noise is many times that of the indentation.
+///     Pressure per stiffness by each marker's own differences; its noise is many times that of the
+///     indentation.
 ///
 /// Raises
 /// ------
@@ -132,11 +133,11 @@ pub fn pressure_saliency(
     Ok((arrays::list(py, salient), arrays::list(py, pressure.pressure_mm().to_vec())))
 }
 
-/// Which markers touch something, for a gel whose law is not known.
+/// Find the markers in contact for a gel with unknown properties.
 ///
-/// Several rules propose a contact: pressure for five decay lengths from 0.2 to 1 times the given one, and shares of
-/// the deepest indentation from 0.05 to 0.6. The gel is concave under a part and convex beside it, so the candidate is
-/// taken whose border parts the two best.
+/// Several rules propose a contact: pressure for five decay lengths from 0.2 to 1 times the given one,
+/// and thresholds at shares of the deepest indentation from 0.05 to 0.6. The gel is concave under a part
+/// and convex beside it. The candidate is chosen whose border best separates the two.
 ///
 /// Parameters
 /// ----------
@@ -154,7 +155,8 @@ pub fn pressure_saliency(
 /// -------
 /// salient : (rows * cols,) bool
 /// rule : tuple of str and float, or None
-///     ("pressure", decay_mm) or ("share", share of the deepest indentation); None when nothing touches the gel.
+///     ("pressure", decay_mm) or ("share", share of the deepest indentation); None when nothing touches
+///     the gel.
 ///
 /// Raises
 /// ------
@@ -183,16 +185,16 @@ pub fn adaptive_saliency(
     Ok((arrays::list(py, salient), found.map(rule_name)))
 }
 
-/// A marker's state by its height: NaN stands for one that was not measured.
+/// Marker states from heights: NaN marks a marker that was not measured.
 fn measured(heights_mm: &[f64]) -> Vec<MarkerState> {
     let state = |h: &f64| if h.is_nan() { MarkerState::Lost } else { MarkerState::Seen };
     heights_mm.iter().map(state).collect()
 }
 
-/// A rule's name and its setting.
+/// Name and setting of a rule.
 pub type RuleName = (&'static str, f64);
 
-/// A rule by its name and its setting.
+/// Name and setting of a rule.
 pub fn rule_name(rule: core::ContactRule) -> RuleName {
     match rule {
         core::ContactRule::Pressure { decay_mm } => ("pressure", decay_mm),

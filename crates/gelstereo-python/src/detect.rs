@@ -1,4 +1,4 @@
-//! Finding markers.
+//! Marker detection.
 
 use crate::arrays::{self, Array1, Image, Matrix, Numbers};
 use crate::errors::raise;
@@ -24,13 +24,15 @@ pub struct Markers {
     /// (N,) areas, square pixels.
     #[pyo3(get)]
     area_px2: Array1<u32>,
-    /// How many of them the model fit did not settle on, and which kept the grey centroid; 0 for other rungs.
+    /// Number of markers for which the model fit did not converge and the grey centroid was kept; 0 for
+    /// other rungs.
     #[pyo3(get)]
     unfitted: usize,
-    /// (K, 2) centres of the visible parts of markers that the image's border cuts, pixels; no other list has them.
+    /// (K, 2) centres of the visible parts of markers cut by the image border, pixels; not contained in
+    /// other lists.
     #[pyo3(get)]
     cut_centres_px: Matrix,
-    /// (K, 2, 2) covariances of those about the whole markers' centres, px².
+    /// (K, 2, 2) covariances of these as estimates of the whole markers' centres, px².
     #[pyo3(get)]
     cut_covariance_px2: Py<PyArray3<f64>>,
     count: usize,
@@ -67,7 +69,7 @@ impl Markers {
     }
 }
 
-/// Finds the markers of single images; `Pipeline` does it for stereo frames.
+/// Detects the markers of single images; `Pipeline` does this for stereo frames.
 ///
 /// Parameters
 /// ----------
@@ -77,7 +79,7 @@ impl Markers {
 ///     Whose region of interest (``detect.roi``) is searched; without it the whole image is.
 #[pyclass(frozen, module = "gelstereo")]
 pub struct Detector {
-    /// Boxed: its SIMD columns are aligned to 32 bytes, and Python aligns its objects to 16.
+    /// Boxed because its SIMD columns are aligned to 32 bytes, and Python aligns its objects to 16.
     stage: Box<Mutex<core::Detector>>,
     params: DetectParams,
 }
@@ -110,13 +112,13 @@ impl Detector {
         format!("<Detector: {dots} dots of {least} to {most} px²>")
     }
 
-    /// Find the markers of an image.
+    /// Detect the markers of an image.
     ///
     /// Parameters
     /// ----------
     /// image : (H, W) uint8
-    ///     Grey image. It is borrowed when its memory is contiguous and copied otherwise (a crop of a wider image, a
-    ///     flipped view).
+    ///     Grey image. It is borrowed when its memory is contiguous and copied otherwise (a crop of a
+    ///     wider image, a flipped view).
     ///
     /// Returns
     /// -------
@@ -138,7 +140,7 @@ impl Detector {
         Markers::new(py, found.map_err(raise)?)
     }
 
-    /// Find one marker near each expected position.
+    /// Detect one marker near each expected position.
     ///
     /// Parameters
     /// ----------
@@ -154,8 +156,8 @@ impl Detector {
     /// markers : Markers
     ///     Those found, with the bits that `detect` gives them.
     /// sights : (N,) int64
-    ///     Which of `markers` each position has, each at most once; -1: no marker is there, -2: several are, -3: not decided
-    ///     (parts of markers, something else, or a window outside the image).
+    ///     Which of `markers` each position has, each at most once; -1: no marker is there, -2: several
+    ///     are, -3: not decided (parts of markers, something else, or a window outside the image).
     ///
     /// Raises
     /// ------
@@ -187,8 +189,8 @@ impl Detector {
         Ok((Markers::new(py, found.markers)?, sights))
     }
 
-    /// Which pixels of an image differ enough from their surround: what ``detect.threshold`` and
-    /// ``detect.polarity`` keep, before markers are chosen by their size and shape.
+    /// Mask of the pixels that differ enough from their surround, by ``detect.threshold`` and
+    /// ``detect.polarity``, before blobs are filtered by size and shape.
     ///
     /// Parameters
     /// ----------

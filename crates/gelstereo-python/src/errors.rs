@@ -1,7 +1,7 @@
-//! The exceptions of gelstereo, and the one place where a stage's error becomes one of them.
+//! The exceptions of gelstereo, and the conversion of stage errors to them.
 //!
-//! Every exception derives from `gelstereo.Error`, which is a `ValueError`: it always means that something handed
-//! over (a file, an image, an array, a setting) cannot be used, and says what was found and what would be valid.
+//! Every exception derives from `gelstereo.Error`, which is a `ValueError`: an input (a file, an image,
+//! an array, a setting) cannot be used. The message states what was found and what would be valid.
 
 use gelstereo_core as core;
 use pyo3::PyErr;
@@ -41,7 +41,7 @@ exceptions! {
     HidError: "A HID device is absent, refuses a command or does not answer.",
 }
 
-/// A stage's error as its Python exception.
+/// Conversion of a stage's error to its Python exception.
 pub trait ToPython {
     fn to_python(&self) -> PyErr;
 }
@@ -83,7 +83,7 @@ stage_errors! {
     gelstereo_host::codec::blink1::Blink1Error => HidError,
 }
 
-// A stop is one that a signal asked for, whose own exception is raised in its place.
+// A stop is requested only by a signal, whose own exception is raised instead.
 impl ToPython for core::register::TemplateError {
     fn to_python(&self) -> PyErr {
         match self {
@@ -138,7 +138,7 @@ impl ToPython for core::pipeline::PipelineError {
     }
 }
 
-/// For `map_err`: any stage's error as its Python exception.
+/// For `map_err`: converts any stage's error to its Python exception.
 pub fn raise<E: ToPython>(error: E) -> PyErr {
     error.to_python()
 }

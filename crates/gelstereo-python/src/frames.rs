@@ -1,4 +1,4 @@
-//! From the sensor to the gripper and the robot's base.
+//! Transforms from the sensor to the gripper and the robot's base.
 
 use crate::arrays::{self, Array1, Matrix, Numbers};
 use crate::errors::{FrameError, raise};
@@ -8,7 +8,7 @@ use gelstereo_core::math::DVec3;
 use pyo3::prelude::*;
 use pyo3::types::PyType;
 
-/// How a finger's pad moves with the opening width.
+/// Motion of a finger's pad as a function of the opening width.
 #[pyclass(frozen, module = "gelstereo", eq)]
 #[derive(PartialEq)]
 pub struct FingerKinematics {
@@ -16,7 +16,7 @@ pub struct FingerKinematics {
 }
 
 impl FingerKinematics {
-    /// Refuses dimensions of which no gripper can be made.
+    /// Rejects dimensions that are impossible for a gripper.
     fn checked(inner: core::FingerKinematics) -> PyResult<Self> {
         let (min_mm, max_mm) = inner.width_range_mm();
         let reach = inner.pad_mm(max_mm).is_ok_and(|pad_mm| pad_mm.is_finite());
@@ -33,7 +33,7 @@ impl FingerKinematics {
 
 #[pymethods]
 impl FingerKinematics {
-    /// Fingers that slide along x: the pad stands at x = width / 2 and z = `reach_mm`.
+    /// Sliding fingers: the pad moves along x, at x = width / 2 and z = `reach_mm`.
     #[classmethod]
     #[pyo3(signature = (*, reach_mm, max_width_mm))]
     fn parallel(_cls: &Bound<'_, PyType>, reach_mm: f64, max_width_mm: f64) -> PyResult<Self> {
@@ -63,25 +63,25 @@ impl FingerKinematics {
         })
     }
 
-    /// The ideal parallelogram of a Robotiq 2F-85; a real gripper wants its own figures.
+    /// The ideal parallelogram of a Robotiq 2F-85; a real gripper needs measured values.
     #[classmethod]
     fn robotiq_2f85(_cls: &Bound<'_, PyType>) -> Self {
         Self { inner: core::FingerKinematics::robotiq_2f85() }
     }
 
-    /// The ideal parallelogram of a Robotiq 2F-140; a real gripper wants its own figures.
+    /// The ideal parallelogram of a Robotiq 2F-140; a real gripper needs measured values.
     #[classmethod]
     fn robotiq_2f140(_cls: &Bound<'_, PyType>) -> Self {
         Self { inner: core::FingerKinematics::robotiq_2f140() }
     }
 
-    /// The ideal parallelogram of an OnRobot RG2 without fingertips; a real gripper wants its own figures.
+    /// The ideal parallelogram of an OnRobot RG2 without fingertips; a real gripper needs measured values.
     #[classmethod]
     fn on_robot_rg2(_cls: &Bound<'_, PyType>) -> Self {
         Self { inner: core::FingerKinematics::on_robot_rg2() }
     }
 
-    /// The ideal parallelogram of an OnRobot RG6 without fingertips; a real gripper wants its own figures.
+    /// The ideal parallelogram of an OnRobot RG6 without fingertips; a real gripper needs measured values.
     #[classmethod]
     fn on_robot_rg6(_cls: &Bound<'_, PyType>) -> Self {
         Self { inner: core::FingerKinematics::on_robot_rg6() }
@@ -93,7 +93,7 @@ impl FingerKinematics {
         self.inner.width_range_mm()
     }
 
-    /// (3,) middle of the sensing pad in the gripper frame.
+    /// (3,) centre of the sensing pad in the gripper frame.
     ///
     /// Raises
     /// ------
@@ -108,7 +108,7 @@ impl FingerKinematics {
     }
 }
 
-/// Where the sensor stands in the gripper.
+/// Pose of the sensor in the gripper.
 ///
 /// Parameters
 /// ----------
@@ -143,7 +143,7 @@ impl SensorMount {
         Self::checked(core::SensorMount { kinematics, t_pad_sensor })
     }
 
-    /// A sensor whose gel lies in the pad's middle and looks across the gap at the other finger.
+    /// A sensor with its gel at the centre of the pad, facing the other finger across the gap.
     ///
     /// Parameters
     /// ----------
@@ -178,7 +178,7 @@ impl SensorMount {
         tree::to_toml(&self.inner).map_err(FrameError::new_err)
     }
 
-    /// Motion of the pad that carries the sensor.
+    /// Kinematics of the pad that carries the sensor.
     #[getter]
     const fn kinematics(&self) -> FingerKinematics {
         FingerKinematics { inner: self.inner.kinematics }
@@ -209,7 +209,7 @@ impl SensorMount {
     }
 }
 
-/// Gripper pose that brings the held object to its goal, with the object rigid in the hand.
+/// Gripper pose that brings the held object to its goal; the object is rigid in the hand.
 ///
 /// Parameters
 /// ----------

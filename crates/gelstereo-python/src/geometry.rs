@@ -12,7 +12,7 @@ fn vector(object: &Bound<'_, PyAny>, name: &'static str) -> PyResult<DVec3> {
     Ok(DVec3::from_array(within_reach(Numbers::new(object, name)?.vector::<3>()?, name)?))
 }
 
-/// Numbers of which sums and products stay finite.
+/// Checks that sums and products of the numbers stay finite.
 fn within_reach<const N: usize>(values: [f64; N], name: &str) -> PyResult<[f64; N]> {
     match values.iter().find(|x| !(x.abs() <= 1e12)) {
         Some(found) => {
@@ -89,7 +89,7 @@ pub fn se3_log(py: Python<'_>, pose: &Bound<'_, PyAny>) -> PyResult<Array1<f64>>
     Ok(arrays::list(py, [omega.to_array(), v.to_array()].concat()))
 }
 
-/// (4, 4) rigid motion that maps source to target points with the least weighted squares; never a reflection.
+/// (4, 4) rigid motion from source to target points by weighted least squares; never a reflection.
 ///
 /// Parameters
 /// ----------
@@ -119,15 +119,15 @@ pub fn rigid_fit(
     arrays::pose_matrix(py, &fit.t_target_source)
 }
 
-/// Fuses two estimates of one pose by their information.
+/// Fuse two estimates of one pose by their information.
 ///
 /// Parameters
 /// ----------
 /// first, second : (4, 4) array_like
 ///     Poses with the same frames, mm.
 /// first_information, second_information : (6, 6) array_like
-///     Information of a left perturbation (ωx ωy ωz vx vy vz), rad and mm, as a localization has it. It may be
-///     singular: along what one estimate leaves free, the other one alone counts.
+///     Information of a left perturbation (ωx ωy ωz vx vy vz), rad and mm, as a localization has it. It
+///     may be singular: along what one estimate leaves free, the other one alone counts.
 ///
 /// Returns
 /// -------
@@ -136,15 +136,16 @@ pub fn rigid_fit(
 /// information : (6, 6) float64
 ///     Of the fused pose.
 /// squared_distance : float
-///     How far the estimates contradict each other. Of two right ones that know all six directions it is distributed
-///     as chi-squared with six degrees of freedom.
+///     How far the estimates contradict each other. Of two right ones that know all six directions it is
+///     distributed as chi-squared with six degrees of freedom.
 ///
 /// Raises
 /// ------
 /// PoseError
 ///     If a matrix is no rigid motion.
 /// RegisterError
-///     If an information is not symmetric and positive semidefinite, or the poses differ by more than 0.5 rad.
+///     If an information is not symmetric and positive semidefinite, or the poses differ by more than 0.5
+///     rad.
 #[pyfunction]
 pub fn fuse_poses(
     py: Python<'_>,
@@ -158,7 +159,7 @@ pub fn fuse_poses(
     fused_parts(py, &register::fuse_poses(&first, &second).map_err(raise)?)
 }
 
-/// Fuses an estimate of a pose with a plane that a point of the part touches.
+/// Fuse an estimate of a pose with a plane that a point of the part touches.
 ///
 /// Parameters
 /// ----------
@@ -224,7 +225,7 @@ fn fused_parts(py: Python<'_>, fused: &FusedPose) -> PyResult<(Matrix, Matrix, f
     Ok((pose, arrays::matrix(py, fused.estimate.information)?, fused.squared_distance))
 }
 
-/// Nearest of some points to every query; of several equally near ones that with the smallest index.
+/// The nearest point to every query; on ties, the one with the smallest index.
 ///
 /// Parameters
 /// ----------

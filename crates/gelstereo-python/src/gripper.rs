@@ -1,4 +1,4 @@
-//! Grippers over a port that Python opened: the host's drivers, whose bytes go through pyserial.
+//! Grippers on a port opened by Python: the host's drivers, with their bytes going through pyserial.
 
 use crate::errors::{GripperError, ToPython, raise};
 use crate::tree;
@@ -8,10 +8,11 @@ use pyo3::types::{PyBytes, PyMapping};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
-/// What a Python port raised, kept until the driver has returned.
+/// Exception raised by a Python port, kept until the driver has returned.
 type Raised = Arc<Mutex<Option<PyErr>>>;
 
-/// A line of bytes through an object with `write(bytes)`, `read(size)`, `timeout` and `in_waiting`, as pyserial's ports.
+/// A byte stream over an object with `write(bytes)`, `read(size)`, `timeout` and `in_waiting`, like
+/// pyserial's ports.
 struct PythonLine {
     port: Py<PyAny>,
     name: String,
@@ -38,7 +39,7 @@ impl Line for PythonLine {
     fn receive(&mut self, buffer: &mut [u8], deadline: Instant) -> Result<usize, host::GripperError> {
         let wait_s = deadline.saturating_duration_since(Instant::now()).as_secs_f64();
         let received: Vec<u8> = self.call(|port| {
-            // Waiting in Rust would keep Ctrl-C away.
+            // Waiting in Rust would block Ctrl-C.
             port.py().check_signals()?;
             port.setattr("timeout", wait_s)?;
             let waiting: usize = port.getattr("in_waiting")?.extract()?;
@@ -54,10 +55,11 @@ impl Line for PythonLine {
     }
 }
 
-/// A gripper on an open port; ``gelstereo.grippers.open`` makes one.
+/// A gripper on an open port, created by ``gelstereo.grippers.open``.
 #[pyclass(module = "gelstereo.grippers")]
 pub struct GripperDriver {
-    /// Never locked: every method has the driver to itself. A class that Python shares between threads must be `Sync`.
+    /// Never locked, because every method has exclusive access. A class shared between Python threads
+    /// must be `Sync`.
     driver: Mutex<Box<dyn host::Gripper + Send>>,
     raised: Raised,
 }
@@ -65,11 +67,11 @@ pub struct GripperDriver {
 /// Width and state of a gripper.
 #[pyclass(frozen, module = "gelstereo.grippers", get_all)]
 pub struct GripperStatus {
-    /// Opening between the pads.
+    /// Opening width between the pads.
     width_mm: f64,
-    /// Whether the fingers move.
+    /// Whether the fingers are moving.
     moving: bool,
-    /// Whether the fingers were stopped by something between them.
+    /// Whether the fingers were stopped by an object between them.
     object_detected: bool,
 }
 
@@ -85,7 +87,8 @@ impl GripperStatus {
 
 #[pymethods]
 impl GripperDriver {
-    /// Settings are those of the table ``[gripper]``; ``port`` has ``write``, ``read``, ``timeout`` and ``in_waiting``.
+    /// Settings are those of the table ``[gripper]``; ``port`` has ``write``, ``read``, ``timeout`` and
+    /// ``in_waiting``.
     #[new]
     fn new(settings: &Bound<'_, PyMapping>, port: Py<PyAny>, name: String) -> PyResult<Self> {
         let config: GripperConfig = tree::from_mapping(settings).map_err(GripperError::new_err)?;
@@ -99,26 +102,26 @@ impl GripperDriver {
         Ok(Self { driver: Mutex::new(driver), raised })
     }
 
-    /// Begin to make the gripper ready; returns at once. Some sweep their fingers, unless they are ready; one that holds
-    /// something is refused.
+    /// Start to activate the gripper; returns at once. Some grippers sweep their fingers unless they are
+    /// already active. A gripper that holds an object is refused.
     fn activate(&mut self) -> PyResult<()> {
         let result = self.driver().activate();
         self.result(result)
     }
 
-    /// Start to move; returns at once. ``force`` is a share of the gripper's range, 0 to 1.
+    /// Start to move; returns at once. ``force`` is a fraction of the gripper's range, 0 to 1.
     fn move_to(&mut self, width_mm: f64, speed_mm_s: f64, force: f64) -> PyResult<()> {
         let result = self.driver().move_to(width_mm, speed_mm_s, force);
         self.result(result)
     }
 
-    /// Stop where the fingers are.
+    /// Stop the fingers in place.
     fn stop(&mut self) -> PyResult<()> {
         let result = self.driver().stop();
         self.result(result)
     }
 
-    /// Width and state now.
+    /// Present width and state.
     fn status(&mut self) -> PyResult<GripperStatus> {
         let result = self.driver().status();
         let host::GripperStatus { width_mm, moving, object_detected } = self.result(result)?;
@@ -131,7 +134,7 @@ impl GripperDriver {
         self.driver.get_mut().unwrap_or_else(PoisonError::into_inner).as_mut()
     }
 
-    /// What the port raised goes before what the driver made of it: KeyboardInterrupt is one of those.
+    /// The port's exception, for example KeyboardInterrupt, takes precedence over the driver's error.
     fn result<T>(&self, result: Result<T, host::GripperError>) -> PyResult<T> {
         let raised = self.raised.lock().unwrap_or_else(PoisonError::into_inner).take();
         match (result, raised) {

@@ -1,16 +1,17 @@
-//! Ctrl-C during long work of the core.
+//! Ctrl-C during long computations in the core.
 
 use gelstereo_core::stop::Stop;
 use pyo3::prelude::*;
 use std::cell::{Cell, RefCell};
 use std::time::{Duration, Instant};
 
-/// Python is asked for signals no more often than this, as it takes the interpreter's lock. A sixth of the 0.3 s that a
-/// person notices.
+/// Shortest interval between checks for signals, because each takes the interpreter's lock. One sixth of
+/// the 0.3 s that a person notices.
 const EVERY: Duration = Duration::from_millis(50);
 
-/// Runs work without the interpreter's lock. A signal whose handler raises an exception stops the work, and the
-/// exception is returned. Python handles signals in the main thread alone; other threads' work is not stopped.
+/// Runs work with the interpreter's lock released. If a signal handler raises an exception, the work
+/// stops and the exception is returned. Python handles signals only in the main thread; work of other
+/// threads is not stopped.
 pub fn stoppable<T: Send>(py: Python<'_>, work: impl FnOnce(Stop<'_>) -> T + Send) -> PyResult<T> {
     let (done, raised) = py.detach(|| {
         let (raised, asked) = (RefCell::new(None), Cell::new(Instant::now()));
@@ -27,7 +28,7 @@ pub fn stoppable<T: Send>(py: Python<'_>, work: impl FnOnce(Stop<'_>) -> T + Sen
     raised.map_or(Ok(done), Err)
 }
 
-/// As [`stoppable`], something of every item: microseconds each.
+/// As [`stoppable`], for a function of every item that takes microseconds.
 pub fn stoppable_each<I: Sync, T: Send>(
     py: Python<'_>,
     items: &[I],
@@ -46,5 +47,5 @@ pub fn stoppable_each<I: Sync, T: Send>(
     stoppable(py, work)
 }
 
-/// Items between two questions whether to stop.
+/// Items between two checks for a stop.
 const ITEMS: usize = 64;

@@ -1,4 +1,4 @@
-//! Row and column of every marker.
+//! Assigns row and column to every marker.
 
 use crate::arrays::{self, Array1, Count, Matrix, Numbers};
 use crate::errors::{LabelError, raise};
@@ -7,16 +7,16 @@ use gelstereo_core::lattice as core;
 use gelstereo_core::math::DVec2;
 use pyo3::prelude::*;
 
-/// Rows or columns, as in `LatticeParams`.
+/// Largest number of rows or columns, as in `LatticeParams`.
 const MAX_MARKERS: usize = 1000;
 
-/// The lattice of an undisturbed frame, complete.
+/// The complete lattice of an undisturbed frame.
 #[pyclass(frozen, module = "gelstereo")]
 pub struct RestLattice {
-    /// Markers from top to bottom, as found.
+    /// Number of markers from top to bottom, as found.
     #[pyo3(get)]
     rows: usize,
-    /// Markers from left to right, as found.
+    /// Number of markers from left to right, as found.
     #[pyo3(get)]
     cols: usize,
     /// (rows * cols, 2) positions, pixels.
@@ -25,7 +25,7 @@ pub struct RestLattice {
     /// (rows * cols,) whether a marker was filled in from its neighbours.
     #[pyo3(get)]
     filled: Array1<bool>,
-    /// Median distance of neighbours, pixels.
+    /// Median distance between neighbours, pixels.
     #[pyo3(get)]
     pitch_px: f64,
 }
@@ -77,8 +77,8 @@ pub fn foresight_sort(
     Ok(arrays::list(py, order.into_iter().map(|i| i as i64).collect()))
 }
 
-/// Count rows and columns of an undisturbed frame, label it, and fill in up to ``lattice.max_missing_share`` of its
-/// markers where none was detected.
+/// Count the rows and columns of an undisturbed frame, label its markers, and fill in undetected ones, up
+/// to the share ``lattice.max_missing_share``.
 ///
 /// Parameters
 /// ----------

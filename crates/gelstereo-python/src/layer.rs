@@ -8,9 +8,10 @@ use numpy::{PyArray3, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use std::sync::{Mutex, PoisonError};
 
-/// A rigid part on a layer of gel: linear elasticity, bonded to a plate below, open to the sides.
+/// A rigid part on a layer of gel: linear elasticity, bonded to a plate below, free at the sides.
 ///
-/// Tractions are in units of Young's modulus: a part held in place leaves the same surface whatever the modulus is.
+/// Tractions are in units of Young's modulus: the surface under a part held in place does not depend on
+/// the modulus.
 ///
 /// Parameters
 /// ----------
@@ -33,20 +34,20 @@ pub struct LayerContact {
     inner: Mutex<Contact>,
 }
 
-/// A solved contact, R rows and C columns of cells.
+/// A solved contact with R rows and C columns of cells.
 #[pyclass(frozen, get_all, module = "gelstereo")]
 pub struct LayerSolution {
     /// (R, C) pressures, in units of Young's modulus.
     pressure: Matrix,
     /// (R, C, 2) tractions along x and y, in units of Young's modulus.
     traction: Py<PyArray3<f64>>,
-    /// (R, C, 3) motion of the surface along x, along y and into the layer.
+    /// (R, C, 3) displacement of the surface along x, along y and into the layer.
     motion_mm: Py<PyArray3<f64>>,
     /// Whether every cell is within the tolerance.
     converged: bool,
-    /// Products with the compliance that it took.
+    /// Number of products with the compliance.
     products: usize,
-    /// What is left.
+    /// Remaining error.
     residual_mm: f64,
 }
 
@@ -123,7 +124,7 @@ impl LayerContact {
         solution(py, &mut inner, found.map_err(raise)?)
     }
 
-    /// Put given loads on the surface.
+    /// Apply given loads to the surface.
     ///
     /// Parameters
     /// ----------

@@ -1,6 +1,6 @@
 //! Python bindings: thin conversions, no logic. One file per topic of the public surface.
 #![forbid(unsafe_code)]
-// Python's docstrings carry the documentation of what is exported; `pub` here is for the sibling files.
+// The exported items are documented in Python's docstrings; `pub` here is for sibling files.
 #![allow(clippy::needless_pass_by_value)]
 
 mod arrays;
@@ -30,7 +30,7 @@ mod triangulate;
 
 use pyo3::prelude::*;
 
-/// The compiled part of gelstereo; import its names from `gelstereo` instead.
+/// The compiled part of gelstereo; import names from `gelstereo` instead.
 #[pymodule]
 mod _native {
     #[pymodule_export]

@@ -7,10 +7,10 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyMapping, PyTuple, PyType};
 use std::path::PathBuf;
 
-/// All settings of the pipeline and of registration; a value that never changes.
+/// All settings of the pipeline and of registration; immutable.
 ///
-/// ``Params()`` is the paper's configuration. `to_dict` shows every setting, `replace` makes a variant. The defaults
-/// are declared once, in the Rust core; the same TOML is read by ``gelstereo-host``.
+/// ``Params()`` is the paper's configuration. `to_dict` returns every setting, `replace` creates a
+/// variant. The defaults are declared once, in the Rust core; ``gelstereo-host`` reads the same TOML.
 ///
 /// Examples
 /// --------
@@ -42,13 +42,13 @@ impl Params {
         Self { inner: core::Params::default() }
     }
 
-    /// The preset of that name.
+    /// The preset with this name.
     ///
     /// Parameters
     /// ----------
     /// name : str
-    ///     One of `presets`: ``"paper"``, the paper's pipeline to the letter, or ``"balanced"``, its cheaper and more
-    ///     accurate variant.
+    ///     One of `presets`: ``"paper"``, the paper's pipeline to the letter, or ``"balanced"``, its
+    ///     cheaper and more accurate variant.
     ///
     /// Raises
     /// ------
@@ -63,13 +63,13 @@ impl Params {
         Ok(Self { inner })
     }
 
-    /// Names that `preset` knows.
+    /// Valid names for `preset`.
     #[classmethod]
     fn presets<'py>(cls: &Bound<'py, PyType>) -> PyResult<Bound<'py, PyTuple>> {
         PyTuple::new(cls.py(), core::Params::PRESETS)
     }
 
-    /// Settings from TOML text; what is left out keeps its default.
+    /// Settings from TOML text; omitted ones keep their defaults.
     ///
     /// Raises
     /// ------
@@ -80,7 +80,7 @@ impl Params {
         Self::checked(tree::from_toml(text).map_err(refused)?)
     }
 
-    /// All settings as TOML text; `from_toml` gives back an equal value.
+    /// All settings as TOML text; `from_toml` restores an equal value.
     fn to_toml(&self) -> PyResult<String> {
         tree::to_toml(&self.inner).map_err(ParamsError::new_err)
     }
@@ -106,8 +106,8 @@ impl Params {
     /// Parameters
     /// ----------
     /// changes : mapping, optional
-    ///     Nested (``{"detect": {"threshold_levels": 20}}``) or with dotted names (``{"detect.threshold_levels": 20}``).
-    ///     None takes a setting back to its default.
+    ///     Nested (``{"detect": {"threshold_levels": 20}}``) or with dotted names
+    ///     (``{"detect.threshold_levels": 20}``). None takes a setting back to its default.
     /// **settings
     ///     The same as keywords: ``detect={"threshold_levels": 20}``.
     ///

@@ -1,4 +1,4 @@
-//! Pickling of results: `multiprocessing` and joblib hand them from one process to another.
+//! Pickling of results, as used by `multiprocessing` and joblib to pass them between processes.
 
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -6,21 +6,21 @@ use pyo3::types::PyBytes;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-/// How pickle makes a value again: a class method and the bytes that it reads.
+/// Arguments for unpickling: a class method and the bytes that it reads.
 pub type Reduced<'py> = (Bound<'py, PyAny>, (Bound<'py, PyBytes>,));
 
-/// `cls.method(data)`.
+/// Unpickling calls `cls.method(data)`.
 pub fn reduce<'py, T>(value: &Bound<'py, T>, method: &str, data: &[u8]) -> PyResult<Reduced<'py>> {
     let restore = value.as_any().get_type().getattr(method)?;
     Ok((restore, (PyBytes::new(value.py(), data),)))
 }
 
-/// MessagePack with named fields: numbers keep their bits, and a field that is missing is named.
+/// MessagePack with named fields: numbers are exact, and errors name a missing field.
 pub fn to_bytes(value: &impl Serialize) -> PyResult<Vec<u8>> {
     rmp_serde::to_vec_named(value).map_err(|error| PyValueError::new_err(error.to_string()))
 }
 
-/// What [`to_bytes`] wrote.
+/// Restores the output of [`to_bytes`].
 pub fn from_bytes<T: DeserializeOwned>(data: &[u8], what: &str) -> PyResult<T> {
     rmp_serde::from_slice(data).map_err(|error| {
         let version = env!("CARGO_PKG_VERSION");

@@ -15,7 +15,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyType;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// What one view contributed to a frame.
+/// Contribution of one view to a frame.
 #[pyclass(frozen, module = "gelstereo")]
 pub struct ViewEvidence {
     inner: core::ViewEvidence,
@@ -23,15 +23,15 @@ pub struct ViewEvidence {
 
 #[pymethods]
 impl ViewEvidence {
-    /// Markers detected.
+    /// Number of markers detected.
     #[getter]
     const fn detected(&self) -> usize {
         self.inner.detected
     }
 
-    /// Where rows and columns come from: ``"rest"``, ``"foresight"`` (the sort of this frame), ``"tracks"`` (under
-    /// ``label.method = "foresight"``: the sort refused this frame), ``"lattice"`` (tracks that were checked) or ``"held"`` (no
-    /// labels were certain).
+    /// Source of rows and columns: ``"rest"``, ``"foresight"`` (the sort of this frame), ``"tracks"``
+    /// (the sort of ``label.method = "foresight"`` failed for this frame), ``"lattice"`` (verified
+    /// tracks) or ``"held"`` (no labels were certain).
     #[getter]
     const fn labels(&self) -> &'static str {
         match self.inner.labels {
@@ -43,13 +43,13 @@ impl ViewEvidence {
         }
     }
 
-    /// Markers whose label by the sort differs from that by their track.
+    /// Markers whose label by the sort differs from the label by their track.
     #[getter]
     const fn relabelled(&self) -> usize {
         self.inner.relabelled
     }
 
-    /// Where markers were searched for: ``"whole"`` (the whole image) or ``"windows"`` (around predicted positions).
+    /// Search area for markers: ``"whole"`` (the whole image) or ``"windows"`` (around predicted positions).
     #[getter]
     const fn searched(&self) -> &'static str {
         match self.inner.searched {
@@ -69,16 +69,16 @@ impl ViewEvidence {
     }
 }
 
-/// Everything that one stereo frame gave; marker ``row * cols + col`` stands at that index in every array.
+/// All results of one stereo frame; marker ``row * cols + col`` has that index in every array.
 #[pyclass(frozen, module = "gelstereo")]
 pub struct Frame {
     /// Frames since the last reset, from 0 (the rest frame).
     #[pyo3(get)]
     index: u64,
-    /// Markers from top to bottom, as found in the rest frame.
+    /// Number of markers from top to bottom, as found in the rest frame.
     #[pyo3(get)]
     rows: usize,
-    /// Markers from left to right, as found in the rest frame.
+    /// Number of markers from left to right, as found in the rest frame.
     #[pyo3(get)]
     cols: usize,
     /// (N, 2) positions in the left image.
@@ -87,28 +87,30 @@ pub struct Frame {
     /// (N, 2) positions in the right image.
     #[pyo3(get)]
     right_px: Matrix,
-    /// (N, 3) positions in the sensor frame; of a marker that is not seen, its last good one.
+    /// (N, 3) positions in the sensor frame; for a marker that is not seen, its last good position.
     #[pyo3(get)]
     points_mm: Matrix,
-    /// (N, 3, 3) covariances of the points, mm²; of a marker that is not seen, from when it last was.
+    /// (N, 3, 3) covariances of the points, mm²; for a marker that is not seen, those of its last good
+    /// position.
     #[pyo3(get)]
     covariance_mm2: Py<PyArray3<f64>>,
     /// (N,) height above the rest surface, towards the camera.
     #[pyo3(get)]
     indentation_mm: Array1<f64>,
-    /// (N,) uint8 of `MarkerState`.
+    /// (N,) uint8 values of `MarkerState`.
     #[pyo3(get)]
     state: Array1<u8>,
-    /// (N,) bool, in contact (Eq. 4).
+    /// (N,) bool, whether the marker is in contact (Eq. 4).
     #[pyo3(get)]
     salient: Array1<bool>,
-    /// (N,) whether each is in the contact patch, which is what `localize` wants.
+    /// (N,) bool, whether the marker is in the contact patch, the input of `localize`.
     #[pyo3(get)]
     patch: Array1<bool>,
     /// (M, 3) the points of the contact patch, in the order of the markers.
     #[pyo3(get)]
     patch_points_mm: Matrix,
-    /// Markers whose two views do not show the same one: rows, disparity, or depth beside their neighbours disagree.
+    /// Markers whose two views do not match, judged by rows, disparity, or depth relative to their
+    /// neighbours.
     #[pyo3(get)]
     mismatched: usize,
     /// Mean motion of the seen markers of the left view since the reference.
@@ -123,7 +125,7 @@ pub struct Frame {
     /// The right view's `ViewEvidence`.
     #[pyo3(get)]
     right: Py<ViewEvidence>,
-    /// The same, as the core has it, for pickling.
+    /// The core's frame, for pickling.
     core: core::Frame,
 }
 
@@ -181,9 +183,9 @@ impl Frame {
     }
 }
 
-/// Sensing: stereo frames in, tactile point clouds out. The first frame is the rest frame.
+/// Sensing pipeline: stereo frames in, tactile point clouds out. The first frame is the rest frame.
 ///
-/// Calls from several threads take turns; the interpreter is released while a frame is processed.
+/// Calls from several threads are serialised; the interpreter's lock is released while a frame is processed.
 ///
 /// Parameters
 /// ----------
@@ -196,7 +198,7 @@ impl Frame {
 ///     If they make no sense.
 #[pyclass(frozen, module = "gelstereo")]
 pub struct Pipeline {
-    /// Boxed: its SIMD columns are aligned to 32 bytes, and Python aligns its objects to 16.
+    /// Boxed because its SIMD columns are aligned to 32 bytes, and Python aligns its objects to 16.
     stages: Box<Mutex<core::Pipeline>>,
     rig: Py<Rig>,
     params: Py<Params>,
@@ -225,13 +227,13 @@ impl Pipeline {
         format!("<Pipeline: images of {width_px} x {height_px} px, {next}>")
     }
 
-    /// The rig it was made for.
+    /// The rig of the pipeline.
     #[getter]
     fn rig(&self, py: Python<'_>) -> Py<Rig> {
         self.rig.clone_ref(py)
     }
 
-    /// Its settings.
+    /// The settings of the pipeline.
     #[getter]
     fn params(&self, py: Python<'_>) -> Py<Params> {
         self.params.clone_ref(py)
@@ -243,47 +245,49 @@ impl Pipeline {
         py.detach(|| self.lock().rest().cloned()).map(RestSurface::from_core)
     }
 
-    /// The gel's decay length in mm and its standard deviation, as the contacts since the rest frame tell them, or None while they
-    /// do not, or without `contact.learn_decay`.
+    /// The gel's decay length in mm and its standard deviation, estimated from the contacts since the
+    /// rest frame. None while they do not determine it, or without `contact.learn_decay`.
     #[getter]
     fn decay_mm(&self, py: Python<'_>) -> Option<(f64, f64)> {
         py.detach(|| self.lock().decay()).map(|decay| (decay.decay_mm, decay.sigma_mm))
     }
 
-    /// The rule by which the last frame's contact was found with `contact.saliency = "adaptive"`: ("pressure", decay length in
-    /// mm) or ("share", share of the deepest indentation). None without that setting, and when nothing touched the gel.
+    /// The rule that found the last frame's contact with `contact.saliency = "adaptive"`: ("pressure",
+    /// decay length in mm) or ("share", share of the deepest indentation). None without that setting, and
+    /// without contact.
     #[getter]
     fn contact_rule(&self, py: Python<'_>) -> Option<RuleName> {
         py.detach(|| self.lock().contact_rule()).map(rule_name)
     }
 
-    /// What the variances of the centres are multiplied by: how much noisier they are than they state, as the epipolar residuals
-    /// of the rest frame show. 1 before it, and where the difference may be chance.
+    /// Factor on the variances of the centres: how much noisier they are than stated, estimated from the
+    /// epipolar residuals of the rest frame. 1 before the rest frame, and where the difference is not
+    /// significant.
     #[getter]
     fn noise_scale(&self, py: Python<'_>) -> f64 {
         py.detach(|| self.lock().noise_scale())
     }
 
-    /// Forget tracks, rest surface and reference: the next frame is the rest frame.
+    /// Clear tracks, rest surface and reference: the next frame is the rest frame.
     fn reset(&self, py: Python<'_>) {
         py.detach(|| self.lock().reset());
     }
 
-    /// What `resume` needs to begin without a rest frame, or None before the rest frame.
+    /// State from which `resume` can start without a rest frame, or None before the rest frame.
     fn rest_record(&self, py: Python<'_>) -> Option<RestRecord> {
         py.detach(|| self.lock().rest_record()).map(|inner| RestRecord { inner })
     }
 
-    /// Begin with a recorded rest frame: the next frame is number 1, and something may touch the gel in it.
+    /// Start from a recorded rest frame: the next frame is number 1 and may show contact.
     ///
-    /// Until rows and columns are certain all markers are held, and ``frame.left.labels`` or ``frame.right.labels`` is
-    /// ``"held"``.
+    /// Until rows and columns are certain, all markers are held, and ``frame.left.labels`` or
+    /// ``frame.right.labels`` is ``"held"``.
     ///
     /// Parameters
     /// ----------
     /// record : RestRecord
-    ///     Of a pipeline with the same rig and the same settings of lattice, detection (but for ``detect.search``) and
-    ///     triangulation.
+    ///     Of a pipeline with the same rig and the same settings of lattice, detection (but for
+    ///     ``detect.search``) and triangulation.
     ///
     /// Raises
     /// ------
@@ -294,7 +298,7 @@ impl Pipeline {
         py.detach(|| self.lock().resume(record)).map_err(raise)
     }
 
-    /// Measure motion from the present frame on (before grasping, before insertion).
+    /// Make the present frame the reference of motion (before grasping, before insertion).
     fn mark_reference(&self, py: Python<'_>) {
         py.detach(|| self.lock().mark_reference());
     }
@@ -306,7 +310,8 @@ impl Pipeline {
     /// left, right : (H, W) uint8
     ///     Grey images of the rig's size; borrowed when contiguous, copied otherwise.
     /// threads : 1 or 2
-    ///     With 2, the markers of the right view are detected on a thread of their own; the result has the same bits.
+    ///     With 2, the markers of the right view are detected on a thread of their own; the result has
+    ///     the same bits.
     ///
     /// Returns
     /// -------
@@ -333,7 +338,7 @@ impl Pipeline {
         }
         let (left, right) = (Image::new(left, "left")?, Image::new(right, "right")?);
         let (left, right) = (left.view()?, right.view()?);
-        // The frame is made anew because its lists become the arrays that Python keeps.
+        // A new frame each time, because its lists become the arrays that Python keeps.
         let frame = py.detach(|| {
             let mut out = core::Frame::default();
             let mut stages = self.lock();
@@ -347,7 +352,7 @@ impl Pipeline {
     }
 }
 
-/// Runs both to the end, the second on a thread of its own.
+/// Runs both to completion, the second on its own thread.
 fn on_two_threads(left: &mut (dyn FnMut() + Send), right: &mut (dyn FnMut() + Send)) {
     std::thread::scope(|scope| {
         scope.spawn(right);
@@ -355,7 +360,7 @@ fn on_two_threads(left: &mut (dyn FnMut() + Send), right: &mut (dyn FnMut() + Se
     });
 }
 
-/// Names and values of the core's marker states, which `gelstereo.MarkerState` repeats for the sake of its types.
+/// Names and values of the core's marker states, repeated in `gelstereo.MarkerState` for typing.
 #[pyfunction]
 pub fn marker_states() -> std::collections::BTreeMap<&'static str, u8> {
     let states = [("SEEN", MarkerState::Seen), ("HELD", MarkerState::Held), ("LOST", MarkerState::Lost)];

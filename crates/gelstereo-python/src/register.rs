@@ -15,7 +15,8 @@ use pyo3::types::{PyTuple, PyType};
 use std::cell::RefCell;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// A direction of motion that the contact does not determine, in the object's frame; ``str()`` says it in words.
+/// A free direction: a motion that the contact does not determine, in the object's frame. ``str()``
+/// describes it in words.
 #[pyclass(frozen, module = "gelstereo")]
 pub struct FreeDirection {
     inner: core::FreeDirection,
@@ -35,13 +36,13 @@ impl FreeDirection {
         arrays::list(py, self.inner.v.to_array().to_vec())
     }
 
-    /// (3,) the point that the rotation turns about, mm.
+    /// (3,) centre of the rotation, mm.
     #[getter]
     fn centre_mm(&self, py: Python<'_>) -> Array1<f64> {
         arrays::list(py, self.inner.centre_mm.to_array().to_vec())
     }
 
-    /// Whether it turns the part about an axis of its own, one of `Template.symmetries`: no contact determines it.
+    /// Whether it is a turn about one of `Template.symmetries`, which no contact can determine.
     #[getter]
     const fn is_own(&self) -> bool {
         self.inner.is_own
@@ -56,8 +57,8 @@ impl FreeDirection {
     }
 }
 
-/// Where the part sits, with the evidence.
-// Arrays are made when they are asked for: making all of them takes a tenth as long as the quickest method.
+/// The localized pose of the part, with figures on its quality.
+// Arrays are created on access: creating all of them takes a tenth of the time of the fastest method.
 #[pyclass(frozen, module = "gelstereo")]
 pub struct Localization {
     found: core::Registration,
@@ -73,67 +74,69 @@ impl Localization {
         arrays::pose_matrix(py, &self.found.t_sensor_object)
     }
 
-    /// (6, 6) information of a left perturbation (ωx ωy ωz vx vy vz) in the sensor frame; singular along `free`.
+    /// (6, 6) information matrix of a left perturbation (ωx ωy ωz vx vy vz) in the sensor frame; singular
+    /// along `free`.
     #[getter]
     fn information(&self, py: Python<'_>) -> PyResult<Matrix> {
         arrays::matrix(py, self.found.information)
     }
 
-    /// (6, 6) covariance of the same perturbation (rad², rad mm, mm²), positive definite: `information` joined with how
-    /// well the guess was known, ``register.start_sigma_deg`` and ``register.start_sigma_mm``, a turn about the patch's
-    /// centroid and a shift of it. Along `free` it has the guess's variance. To join it with another source take
-    /// `information`: the guess would count twice.
+    /// (6, 6) covariance of the same perturbation (rad², rad mm, mm²), positive definite: `information`
+    /// combined with the prior of the guess. The prior has ``register.start_sigma_deg`` and
+    /// ``register.start_sigma_mm``, for a turn about the patch's centroid and a shift of it. Along `free`
+    /// the covariance has the guess's variance. To fuse with another source use `information`; otherwise
+    /// the guess would count twice.
     #[getter]
     fn covariance(&self, py: Python<'_>) -> PyResult<Matrix> {
         arrays::matrix(py, self.found.covariance())
     }
 
-    /// (6, 6) covariance over the determined directions alone, the pseudo-inverse of `information`: zero along `free`,
-    /// where the contact sets no bound.
+    /// (6, 6) covariance over the determined directions only, the pseudo-inverse of `information`: zero
+    /// along `free`, where the contact sets no bound.
     #[getter]
     fn determined_covariance(&self, py: Python<'_>) -> PyResult<Matrix> {
         arrays::matrix(py, self.found.determined_covariance())
     }
 
-    /// Whether the steps fell below ``register.step_tolerance`` before the iterations ran out.
+    /// Whether the steps fell below ``register.advanced.step_tolerance`` before the iterations ran out.
     #[getter]
     const fn converged(&self) -> bool {
         self.found.converged
     }
 
-    /// Iterations of the last stage.
+    /// Number of iterations of the last stage.
     #[getter]
     const fn iterations(&self) -> u32 {
         self.found.iterations
     }
 
-    /// Points within ``register.max_distance_mm`` of the template.
+    /// Points within ``register.advanced.max_distance_mm`` of the template.
     #[getter]
     const fn inliers(&self) -> usize {
         self.found.inliers
     }
 
-    /// Points given.
+    /// Number of points given.
     #[getter]
     const fn points(&self) -> usize {
         self.found.points
     }
 
-    /// Root mean square distance of the inliers; for point-to-plane methods along the normals, each point by its
-    /// probability of being in contact.
+    /// Root mean square distance of the inliers. For point-to-plane methods it is measured along the
+    /// normals, and each point is weighted by its contact probability.
     #[getter]
     const fn rmse_mm(&self) -> f64 {
         self.found.rmse_mm
     }
 
-    /// The `FreeDirection` s that the contact leaves undetermined; empty when all six are known.
+    /// The `FreeDirection` s of the contact; empty if all six directions are determined.
     #[getter]
     fn free<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
         let free = self.found.free.iter().map(|&inner| Py::new(py, FreeDirection { inner }));
         PyTuple::new(py, free.collect::<PyResult<Vec<_>>>()?)
     }
 
-    /// Logarithm of the pose's likelihood, to compare poses of one contact; None but for the surface methods.
+    /// Log likelihood of the pose, for comparing poses of one contact; None except for the surface methods.
     #[getter]
     const fn log_likelihood(&self) -> Option<f64> {
         self.found.log_likelihood
@@ -141,38 +144,42 @@ impl Localization {
 
     /// Whether the pose explains the contact.
     ///
-    /// ``"fits"``: ``log_odds`` are above 0, the markers that touch the part miss it by no more than their noise explains
-    /// (chi-squared test at 1 %), and the method came to rest. ``"unsure"``: the odds are above 0, but one of the other two
-    /// does not hold; methods on samples always say so. ``"does_not_fit"``: the part is elsewhere, or another.
+    /// ``"fits"``: ``log_odds`` is above 0, the distances of the markers in contact from the part are
+    /// within their noise (chi-squared test at 1 %), and the method converged. ``"unsure"``: the odds are
+    /// above 0, but one of the other two conditions fails; always the result of methods on samples.
+    /// ``"does_not_fit"``: the part is elsewhere, or it is another part.
     #[getter]
     const fn verdict(&self) -> &'static str {
         self.found.verdict.name()
     }
 
-    /// Logarithm of the odds that the part is here over something else, both as likely beforehand; None but for the
-    /// surface methods. At 0 or below the pose does not explain the contact: the part is elsewhere, or another. Those of
-    /// ``surface_search`` are charged for taking the best pose of all that the guess allows; the others' are not.
+    /// Log evidence ratio of the part at this pose against anything else, with equal priors; None except
+    /// for the surface methods. At 0 or below, the pose does not explain the contact: the part is
+    /// elsewhere, or it is another part. For ``surface_search`` it includes a penalty for choosing the
+    /// best of all poses that the guess allows; for other methods it does not.
     #[getter]
     const fn log_odds(&self) -> Option<f64> {
         self.found.log_odds
     }
 
-    /// The gel's decay length that explains the contact best, mm; None where the gel was not asked: ``surface_search``
-    /// alone does, and it only where markers show what the gel does.
+    /// The gel's decay length that explains the contact best, mm. Estimated only by ``surface_search``,
+    /// and only where markers show the gel's response; otherwise None.
     #[getter]
     fn gel_decay_mm(&self) -> Option<f64> {
         self.found.gel_decay.map(|gel| gel.length_mm)
     }
 
-    /// Whether that stands at an end of where it is looked for, 0.22 and 2.1 times ``contact.decay_mm``: the gel is another
-    /// than it is said to be, and the pose is to be believed the less. None where the gel was not asked.
+    /// Whether `gel_decay_mm` is at an end of its search range, 0.22 to 2.1 times ``contact.decay_mm``.
+    /// The gel then differs from its settings, and the pose is less reliable. None where it was not
+    /// estimated.
     #[getter]
     fn gel_decay_at_limit(&self) -> Option<bool> {
         self.found.gel_decay.map(|gel| gel.is_at_limit)
     }
 
-    /// How a `Localizer` came to the pose: ``"tracking"`` from the frame before, ``"relocalized"`` by a search, or ``"lost"``: the
-    /// search found nothing that explains the contact, and this is its best. None from `localize`.
+    /// How a `Localizer` found the pose: ``"tracking"`` from the previous frame, ``"relocalized"`` by a
+    /// search, or ``"lost"``: the search found no pose that explains the contact, and this is its best.
+    /// None from `localize`.
     #[getter]
     fn tracking(&self) -> Option<&'static str> {
         self.tracking.map(|tracking| match tracking {
@@ -182,17 +189,17 @@ impl Localization {
         })
     }
 
-    /// What a `Localizer` judges by where the gel is known: mean over the lifted markers of their squared distances
-    /// from what the gel would do, in standard deviations, each square up to 16. About 1 at a right pose; None where
-    /// it is not asked.
+    /// Criterion of a `Localizer` where the gel model applies: mean over the lifted markers of their
+    /// squared deviations from the predicted gel height, in variances, each capped at 16. About 1 at a
+    /// correct pose; None where it is not evaluated.
     #[getter]
     const fn misfit(&self) -> Option<f64> {
         self.misfit
     }
 
-    /// The other poses that explain the contact about as well, likeliest first, at most 8: pairs of a (4, 4) pose and its
-    /// logarithm of the likelihood. Each is at least 1 % as likely as the best, and stands where that one does along
-    /// `free` directions. ``surface_search`` alone looks for them: empty from other methods.
+    /// Alternative poses that explain the contact about as well, likeliest first, at most 8: pairs of a
+    /// (4, 4) pose and its log likelihood. Each is at least 1 % as likely as the best, and agrees with it
+    /// along `free` directions. Only ``surface_search`` looks for them; empty from other methods.
     #[getter]
     fn alternatives<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
         let other =
@@ -200,8 +207,8 @@ impl Localization {
         PyTuple::new(py, self.found.alternatives.iter().map(other).collect::<PyResult<Vec<_>>>()?)
     }
 
-    /// Whether there may be more `alternatives` than are given: there was no room for all, or ``register.budget`` was spent
-    /// before all were looked at.
+    /// Whether there may be more `alternatives` than are given: there was no room for all, or
+    /// ``register.surface_search.budget`` was spent before all were examined.
     #[getter]
     fn alternatives_cut(&self) -> bool {
         self.found.alternatives.is_cut()
@@ -238,10 +245,10 @@ impl Localization {
     }
 }
 
-/// Points that are registered in seconds. More than the template's own density tells nothing new.
+/// Largest number of points, registered in seconds. A density above the template's adds no information.
 const MAX_POINTS: usize = 20_000;
 
-/// Find where a part sits: register a contact patch to its template.
+/// Register a contact patch to a part's template, to find the part's pose.
 ///
 /// Parameters
 /// ----------
@@ -252,15 +259,17 @@ const MAX_POINTS: usize = 20_000;
 ///     A guess: maps object coordinates to sensor coordinates.
 /// all_points_mm : (M, 3) array_like, optional
 ///     All markers' points, those of `points_mm` among them, bit for bit. The methods on the part's surface
-///     (``register.method`` "surface_track", "surface_close", "surface_search"; they need a template of a mesh) use that the
-///     part is nowhere between the others and the camera; other methods do not look at them.
+///     (``register.method`` "surface_track", "surface_close", "surface_search"; they need a template of a
+///     mesh) use that the part is nowhere between the others and the camera; other methods do not look at
+///     them.
 /// covariance_mm2 : (N, 3, 3) or (N, 9) array_like, optional
-///     Covariance of each of `points_mm`, for the same methods; without it ``register.point_sigma_mm`` holds for all.
+///     Covariance of each of `points_mm`, for the same methods; without it ``register.point_sigma_mm``
+///     holds for all.
 /// params : Params, optional
 ///     Its ``register`` part is used, and ``contact.decay_mm``.
 /// press_direction : (3,) array_like, optional
-///     The way from the part into the gel, sensor frame, of any length; toward the camera, (0, 0, -1), if left out. Only
-///     faces that look this way can be touched. The methods on the part's surface use it.
+///     The way from the part into the gel, sensor frame, of any length; toward the camera, (0, 0, -1), if
+///     left out. Only faces that look this way can be touched. The methods on the part's surface use it.
 ///
 /// Returns
 /// -------
@@ -269,8 +278,8 @@ const MAX_POINTS: usize = 20_000;
 /// Raises
 /// ------
 /// RegisterError
-///     If the patch cannot be registered, for example with too few points, if it is not among all markers, or if it lies
-///     across the press direction.
+///     If the patch cannot be registered, for example with too few points, if it is not among all
+///     markers, or if it lies across the press direction.
 #[pyfunction]
 #[pyo3(signature = (
     points_mm, template, *, t_sensor_object, all_points_mm=None, covariance_mm2=None, params=None, press_direction=None
@@ -303,14 +312,14 @@ pub fn localize(
 }
 
 thread_local! {
-    /// This thread's stage, for the memory it has: asking for it anew takes as long as a tenth of the work.
+    /// This thread's registrar, kept for its memory: allocating it again takes a tenth of the work.
     static REGISTRAR: RefCell<core::Registrar> = RefCell::new(core::Registrar::new(&RegisterParams::default()));
 }
 
-/// Salient points, all points and covariances, as they are handed over.
+/// Salient points, all points and covariances, as passed from Python.
 type Markers<'a, 'py> = (&'a Bound<'py, PyAny>, Option<&'a Bound<'py, PyAny>>, Option<&'a Bound<'py, PyAny>>);
 
-/// What is said of the gel.
+/// Properties of the gel.
 #[derive(Clone, Copy)]
 struct Gel {
     decay_mm: f64,
@@ -327,7 +336,7 @@ impl Gel {
             None => DVec3::NEG_Z,
             Some(given) => {
                 let given = DVec3::from_array(Numbers::new(given, "press_direction")?.vector::<3>()?);
-                // What has no length is refused as no unit vector.
+                // A vector of length 0 is rejected later because it is not a unit vector.
                 let scaled = given / given.abs().max_element();
                 scaled / sqrt(scaled.length_squared())
             }
@@ -336,7 +345,7 @@ impl Gel {
     }
 }
 
-/// Runs what needs a contact for a method, with the interpreter released, until a signal stops it.
+/// Runs work on a contact with the interpreter's lock released, until a signal stops it.
 fn with_contact<T: Send>(
     py: Python<'_>,
     (points_mm, all_points_mm, covariance_mm2): Markers<'_, '_>,
@@ -374,16 +383,19 @@ fn with_contact<T: Send>(
     .map_err(raise)
 }
 
-/// Localizes one part frame by frame: follows it, notices that it is lost, and finds it again.
+/// Localizes one part frame by frame: tracks it, detects that it is lost, and finds it again.
 ///
-/// A pose is followed from the frame before by the part's exact surface; with the ``register.method`` "surface_search"
-/// by what the gel does, too, and with "surface_track" by its grid of distances first. From frame to frame the part is
-/// said to move by a tenth of ``register.start_sigma_deg`` and ``register.start_sigma_mm``. Where the gel explained the
-/// contact in which the part was found, a pose is believed while its `misfit` is as usual; elsewhere (not all markers
-/// given, a gel that comes back to rest within a pitch) while its ``log_odds`` are above 0. Otherwise the part is searched
-/// for, around the last pose that was believed and around where it is expected. What the contact leaves free stays as it
-/// was.
+/// The pose is tracked from the previous frame on the part's exact surface. The ``register.method``
+/// "surface_search" also uses the gel model; "surface_track" first uses the grid of distances. Between
+/// frames the part is assumed to move by a tenth of ``register.start_sigma_deg`` and
+/// ``register.start_sigma_mm``.
 ///
+/// If the gel model explained the contact in which the part was found, a pose is accepted while its
+/// `misfit` is as usual. Otherwise (not all markers given, or a gel that returns to rest within a pitch)
+/// it is accepted while its ``log_odds`` is above 0. If a pose is rejected, the part is searched for
+/// around the last accepted pose and around the expected one. Free directions keep their values.
+///
+/// Calls from several threads are serialised; the interpreter's lock is released meanwhile.
 /// Calls from several threads take turns; the interpreter is released meanwhile.
 ///
 /// Parameters
@@ -436,13 +448,13 @@ impl Localizer {
         Ok(Self { stage: Mutex::new(stage), gel: Gel::new(&params, press_direction)?, template })
     }
 
-    /// The part that is followed.
+    /// Template of the tracked part.
     #[getter]
     fn template(&self, py: Python<'_>) -> Py<Template> {
         self.template.clone_ref(py)
     }
 
-    /// (4, 4) the last pose that was believed, or None.
+    /// (4, 4) the last accepted pose, or None.
     #[getter]
     fn t_sensor_object(&self, py: Python<'_>) -> PyResult<Option<Matrix>> {
         let last = py.detach(|| self.lock().last().copied());
@@ -455,7 +467,7 @@ impl Localizer {
         format!("<Localizer: a part of {points} points, {}>", if held { "tracking" } else { "not found yet" })
     }
 
-    /// The part is expected elsewhere from now on: the gripper has let go, or grasped it anew.
+    /// Set a new expected pose: the gripper has released the part or grasped it again.
     ///
     /// Parameters
     /// ----------
@@ -466,7 +478,7 @@ impl Localizer {
         Ok(())
     }
 
-    /// Localize the part in the next frame; parameters as `localize` takes them.
+    /// Localize the part in the next frame; parameters as for `localize`.
     ///
     /// Parameters
     /// ----------
@@ -494,7 +506,7 @@ impl Localizer {
         let template = self.template.get().inner();
         let run =
             |contact: &core::Contact<'_>, stop: Stop<'_>| self.lock().run_unless(contact, template, stop);
-        // What is lost is searched for.
+        // A lost part is searched for.
         let method = RegisterMethod::SurfaceSearch;
         let markers = (points_mm, all_points_mm, covariance_mm2);
         let located = with_contact(py, markers, method, self.gel, run)?;

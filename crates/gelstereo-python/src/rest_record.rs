@@ -11,11 +11,10 @@ use pyo3::prelude::*;
 use pyo3::types::PyType;
 use std::path::PathBuf;
 
-/// A sensor's rest state, by which a `Pipeline` may begin while something touches the gel; a value that never
-/// changes.
+/// A sensor's rest state, from which a `Pipeline` can start under contact; immutable.
 ///
-/// `Pipeline.rest_record` makes it, `Pipeline.resume` takes it. It is good for as long as gel and cameras
-/// stay where they are in the sensor.
+/// Created by `Pipeline.rest_record`, used by `Pipeline.resume`. It stays valid as long as gel and
+/// cameras do not move in the sensor.
 #[pyclass(frozen, module = "gelstereo", eq)]
 #[derive(PartialEq)]
 pub struct RestRecord {
@@ -31,13 +30,13 @@ impl RestRecord {
 
 #[pymethods]
 impl RestRecord {
-    /// Markers from top to bottom.
+    /// Number of markers from top to bottom.
     #[getter]
     const fn rows(&self) -> usize {
         self.inner.rows
     }
 
-    /// Markers from left to right.
+    /// Number of markers from left to right.
     #[getter]
     const fn cols(&self) -> usize {
         self.inner.cols
@@ -49,7 +48,7 @@ impl RestRecord {
         Ok(RestSurface::from_core(Surface::new(&self.inner.points_mm).map_err(raise)?))
     }
 
-    /// The rig that it was measured with.
+    /// The rig of the measurement.
     #[getter]
     fn rig(&self) -> Rig {
         Rig { inner: self.inner.rig.clone() }
@@ -67,7 +66,7 @@ impl RestRecord {
         arrays::rows::<_, 2>(py, self.inner.right.positions_px.clone())
     }
 
-    /// (N,) bool, whether both views of the rest frame showed the marker.
+    /// (N,) bool, whether the marker was visible in both views of the rest frame.
     #[getter]
     fn shown(&self, py: Python<'_>) -> Array1<bool> {
         let both = self.inner.left.shown.iter().zip(&self.inner.right.shown).map(|(&l, &r)| l && r);
@@ -85,7 +84,7 @@ impl RestRecord {
         Self::checked(tree::from_toml(text).map_err(ContactError::new_err)?)
     }
 
-    /// The record as TOML text; `from_toml` gives back an equal value.
+    /// The record as TOML text; `from_toml` restores an equal value.
     fn to_toml(&self) -> PyResult<String> {
         tree::to_toml(&self.inner).map_err(ContactError::new_err)
     }

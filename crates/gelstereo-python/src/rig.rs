@@ -10,9 +10,9 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyMapping, PyType};
 use std::path::PathBuf;
 
-/// A calibrated stereo pair: what calibration produces and triangulation consumes.
+/// A calibrated stereo pair: the result of calibration and the input of triangulation.
 ///
-/// Made by `parallel`, `from_opencv`, `from_toml` or `load`; ``gelstereo calibrate`` writes the file.
+/// Created by `parallel`, `from_opencv`, `from_toml` or `load`; ``gelstereo calibrate`` writes the file.
 ///
 /// Examples
 /// --------
@@ -77,7 +77,7 @@ impl Rig {
         Self::checked(core::Rig::parallel(camera, baseline_mm))
     }
 
-    /// From what ``cv2.stereoCalibrate`` returns, with lengths in millimetres.
+    /// From the results of ``cv2.stereoCalibrate``, with lengths in millimetres.
     ///
     /// Parameters
     /// ----------
@@ -139,7 +139,7 @@ impl Rig {
         Self::checked(tree::from_toml(text).map_err(RigError::new_err)?)
     }
 
-    /// The rig as TOML text; `from_toml` gives back an equal value.
+    /// The rig as TOML text; `from_toml` restores an equal value.
     fn to_toml(&self) -> PyResult<String> {
         tree::to_toml(&self.inner).map_err(RigError::new_err)
     }
@@ -191,21 +191,21 @@ impl Rig {
         arrays::pose_matrix(py, &self.inner.t_right_left)
     }
 
-    /// Distance between the cameras.
+    /// Distance between the cameras, mm.
     #[getter]
     fn baseline_mm(&self) -> f64 {
         self.inner.baseline_mm()
     }
 
-    /// Flat layers before the markers, or None: a dictionary with the unit ``normal`` of the interfaces away from the
-    /// cameras (sensor frame), ``gap_mm`` from the left camera to the first one, ``plates``, a list of ``thickness_mm``
-    /// and refractive ``index``, and the ``gel_index``.
+    /// Flat layers in front of the markers, or None. A dictionary with the unit ``normal`` of the
+    /// interfaces away from the cameras (sensor frame), ``gap_mm`` from the left camera to the first
+    /// interface, ``plates``, a list of ``thickness_mm`` and refractive ``index``, and the ``gel_index``.
     #[getter]
     fn layers<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyDict>>> {
         self.inner.layers.as_ref().map(|layers| tree::to_dict(py, layers)).transpose()
     }
 
-    /// This rig behind other layers.
+    /// A copy of this rig with other layers.
     ///
     /// Parameters
     /// ----------
@@ -266,7 +266,7 @@ impl Rig {
         Ok((arrays::rows::<_, 2>(py, left)?, arrays::rows::<_, 2>(py, right)?))
     }
 
-    /// Normalised coordinates (x / z, y / z) of pixels, without the lens's distortion.
+    /// Normalised coordinates (x / z, y / z) of pixels, with lens distortion removed.
     ///
     /// Parameters
     /// ----------
@@ -289,8 +289,8 @@ impl Rig {
         arrays::rows::<DVec2, 2>(py, out.map_err(raise)?)
     }
 
-    /// Rays on which the points lie that pixels show: in the gel from the last interface on, or from the camera when
-    /// there are no layers.
+    /// Rays of the points seen at the given pixels: in the gel from the last interface on, or from the
+    /// camera without layers.
     ///
     /// Parameters
     /// ----------
@@ -335,7 +335,7 @@ impl Rig {
     }
 }
 
-/// Row-aligned virtual cameras of a rig, as ``cv2.stereoRectify`` makes them, with the mean focal length and
+/// Row-aligned virtual cameras of a rig, as from ``cv2.stereoRectify``, with the mean focal length and
 /// principal point of the two cameras.
 #[pyclass(frozen, module = "gelstereo")]
 pub struct Rectification {
@@ -373,7 +373,7 @@ impl Rectification {
         (self.inner.c_px.x, self.inner.c_px.y)
     }
 
-    /// Distance between the cameras.
+    /// Distance between the cameras, mm.
     #[getter]
     fn baseline_mm(&self) -> f64 {
         self.inner.baseline_mm
@@ -418,7 +418,7 @@ fn camera(
     })
 }
 
-/// OpenCV's translations are (3, 1).
+/// Accepts OpenCV's translations, which are (3, 1).
 fn three(numbers: &Numbers<'_>) -> PyResult<DVec3> {
     let values: [f64; 3] = numbers.flat()?.try_into().map_err(|_| {
         ShapeError::new_err("translation_mm does not have 3 numbers; valid is the shape (3,) or (3, 1)")

@@ -13,8 +13,9 @@ type Cells = Py<PyArray3<f64>>;
 
 /// The gel's surface on a regular grid, by natural-neighbour interpolation between the markers (Sibson 1981).
 ///
-/// Weights are worked out once, on the markers' places of rest: a cell is a spot of the gel, and its point moves sideways with
-/// the markers around. Planes are exact; the surface passes through the markers.
+/// Weights are computed once, from the markers' rest positions: a cell is a material point of the gel,
+/// which moves sideways with the surrounding markers. Planes are reproduced exactly; the surface passes
+/// through the markers.
 ///
 /// Parameters
 /// ----------
@@ -65,14 +66,14 @@ impl DenseSurface {
         arrays::list(py, (0..self.inner.rows()).map(|row| self.inner.rest_mm(row, 0).y).collect())
     }
 
-    /// (H, W) bool: whether a cell lies within the markers' hull. Only there the surface is known.
+    /// (H, W) bool, whether a cell lies within the markers' hull; the surface is known only there.
     #[getter]
     fn mask(&self, py: Python<'_>) -> PyResult<Py<PyArray2<bool>>> {
         let cells = self.inner.rows() * self.inner.cols();
         arrays::shaped(py, (0..cells).map(|cell| self.inner.is_known(cell)).collect(), self.shape())
     }
 
-    /// Interpolate a value of the markers, for example their indentation.
+    /// Interpolate a quantity of the markers, for example their indentation.
     ///
     /// Parameters
     /// ----------
@@ -94,7 +95,7 @@ impl DenseSurface {
         arrays::shaped(py, out, self.shape())
     }
 
-    /// The surface through a cloud.
+    /// The interpolated surface of a point cloud.
     ///
     /// Parameters
     /// ----------

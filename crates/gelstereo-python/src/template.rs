@@ -14,9 +14,10 @@ use pyo3::prelude::*;
 use pyo3::types::{PyTuple, PyType};
 use std::path::PathBuf;
 
-/// A part's surface: points with outward unit normals in the object frame, sampled evenly.
+/// A part's surface: evenly sampled points with outward unit normals in the object frame.
 ///
-/// Made by `from_mesh`, `from_triangles` or `from_points`; of a mesh it keeps the exact surface as well.
+/// Created by `from_mesh`, `from_triangles` or `from_points`; a template of a mesh also keeps the exact
+/// surface.
 #[pyclass(frozen, module = "gelstereo")]
 pub struct Template {
     inner: core::Template,
@@ -30,8 +31,8 @@ impl Template {
 
 #[pymethods]
 impl Template {
-    /// Sample a mesh file or a ``trimesh.Trimesh``; or take the points of a scan, a PLY file without triangles whose
-    /// points have outward normals.
+    /// Sample a mesh file or a ``trimesh.Trimesh``. The points of a scan, a PLY file without triangles
+    /// whose points have outward normals, are used as they are.
     ///
     /// Parameters
     /// ----------
@@ -46,7 +47,8 @@ impl Template {
     /// Raises
     /// ------
     /// MeshError
-    ///     If the units are unknown, or absurd for a part in a hand (with a guess), or the triangles are no surface.
+    ///     If the units are unknown, or absurd for a part in a hand (with a guess), or the triangles are
+    ///     no surface.
     /// TemplateError
     ///     If it cannot be sampled at this spacing.
     #[classmethod]
@@ -99,8 +101,8 @@ impl Template {
         Ok(Self { inner })
     }
 
-    /// From points that were sampled elsewhere, as those of a scan; the methods on the part's surface take each for a small square
-    /// in its tangent plane.
+    /// From points sampled elsewhere, such as a scan. The methods on the part's surface treat each as a
+    /// small square in its tangent plane.
     ///
     /// Parameters
     /// ----------
@@ -141,7 +143,7 @@ impl Template {
         arrays::rows::<_, 3>(py, self.inner.normals().to_vec())
     }
 
-    /// Typical distance of neighbouring points.
+    /// Typical distance between neighbouring points.
     #[getter]
     fn spacing_mm(&self) -> f64 {
         self.inner.spacing_mm()
@@ -153,15 +155,15 @@ impl Template {
         self.inner.digest()
     }
 
-    /// What the mesh is as the boundary of a body; ``None`` for a template of points.
+    /// Properties of the mesh as the boundary of a body; ``None`` for a template of points.
     #[getter]
     fn surface(&self) -> Option<Surface> {
         self.inner.solid().map(|solid| Surface { inner: *solid.report() })
     }
 
-    /// The template's own points that are nearest; of several equally near ones the first.
+    /// The nearest of the template's own points; the first on ties.
     ///
-    /// Works on every template, by a tree that was made with it: `closest` asks the exact surface instead.
+    /// Works for every template, with a prebuilt search tree; `closest` uses the exact surface instead.
     ///
     /// Parameters
     /// ----------
@@ -188,20 +190,20 @@ impl Template {
         Ok((arrays::list(py, indices), arrays::list(py, distances)))
     }
 
-    /// The nearest points of the exact surface.
+    /// The nearest points on the exact surface.
     ///
     /// Parameters
     /// ----------
     /// points_mm : (N, 3) array_like
     ///     Object frame.
     /// facing : (N, 3) or (3,) array_like, optional
-    ///     Look among faces only whose outward normal has a positive product with this direction: on a thin plate the
-    ///     side that is touched.
+    ///     Look among faces only whose outward normal has a positive product with this direction: on a
+    ///     thin plate the side that is touched.
     /// reach_mm : float, optional
     ///     Farther than this nothing is found.
     /// near : (N,) array_like, optional
-    ///     Triangles of an earlier answer to points close by: the same answer, sooner. The triangle of the point before
-    ///     if left out.
+    ///     Triangles of an earlier answer to points close by: the same answer, sooner. The triangle of
+    ///     the point before if left out.
     ///
     /// Returns
     /// -------
@@ -239,8 +241,8 @@ impl Template {
         Closest::new(py, found)
     }
 
-    /// A copy with another grid of signed distances around the exact surface; a template of a mesh has one of 0.4 mm cells
-    /// and 4 mm reach, by which registration screens many poses.
+    /// A copy with another grid of signed distances around the exact surface. A template of a mesh has
+    /// one with 0.4 mm cells and 4 mm reach, which registration uses to screen many poses.
     ///
     /// Parameters
     /// ----------
@@ -300,21 +302,22 @@ impl Template {
         Ok((arrays::list(py, distances), arrays::rows::<_, 3>(py, gradients)?))
     }
 
-    /// The `Symmetry` s that were found or declared.
+    /// The declared or detected `Symmetry` s.
     #[getter]
     fn symmetries<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
         let all = self.inner.symmetries().iter().map(|&inner| Py::new(py, Symmetry::from(inner)));
         PyTuple::new(py, all.collect::<PyResult<Vec<_>>>()?)
     }
 
-    /// A copy with symmetries that are declared, or found in the exact surface. `localize` then answers with the copy of the
-    /// pose that is nearest to the guess, and names the part's own turns among the free directions.
+    /// A copy with symmetries that are declared, or detected in the exact surface. `localize` then
+    /// returns the symmetric copy of the pose that is nearest to the guess, and reports the part's own
+    /// turns among the free directions.
     ///
     /// Parameters
     /// ----------
     /// symmetries : sequence of Symmetry, optional
-    ///     Declared ones. If left out, they are looked for: axes through the area's centre such that after a turn every
-    ///     point of the template is within the tolerance of the surface.
+    ///     Declared ones. If left out, they are looked for: axes through the area's centre such that
+    ///     after a turn every point of the template is within the tolerance of the surface.
     /// tolerance_mm : float
     ///     A round part is found to be round if its facets are finer than this.
     #[pyo3(signature = (symmetries=None, *, tolerance_mm=0.02))]
@@ -341,7 +344,7 @@ impl Template {
         Ok(Self { inner })
     }
 
-    /// Of the poses that show the part alike, by its `symmetries`, the one that is the least turn away from another.
+    /// The symmetric copy of a pose that is nearest to another pose by turning angle, using `symmetries`.
     ///
     /// Parameters
     /// ----------
@@ -361,12 +364,12 @@ impl Template {
         arrays::pose_matrix(py, &self.inner.nearest_copy(&pose, &other))
     }
 
-    /// Write the template, all of it, to a file.
+    /// Write the complete template to a file.
     fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
         tree::write(py, path, self.inner.to_bytes())
     }
 
-    /// A template from a file that `save` wrote.
+    /// A template from a file written by `save`.
     ///
     /// Raises
     /// ------
@@ -410,7 +413,7 @@ impl Template {
     }
 }
 
-/// The rows, of which none may be NaN or infinite.
+/// Checks that all rows are finite.
 fn finite<'a>(rows: &'a [DVec3], what: &str) -> PyResult<&'a [DVec3]> {
     match rows.iter().position(|row| !row.is_finite()) {
         Some(index) => {
@@ -421,7 +424,7 @@ fn finite<'a>(rows: &'a [DVec3], what: &str) -> PyResult<&'a [DVec3]> {
     }
 }
 
-/// One direction for all points, or one each.
+/// One direction for all points, or one per point.
 fn directions(facing: &Bound<'_, PyAny>, count: usize) -> PyResult<Vec<DVec3>> {
     let facing = Numbers::new(facing, "facing")?;
     match facing.vector::<3>() {
@@ -439,7 +442,7 @@ fn directions(facing: &Bound<'_, PyAny>, count: usize) -> PyResult<Vec<DVec3>> {
     }
 }
 
-/// What `templates.load_part` gives: vertices and triangles, or points, normals and their distance.
+/// Result of `templates.load_part`: vertices and triangles, or points, normals and their spacing.
 type Loaded<'py> = (Bound<'py, PyAny>, Bound<'py, PyAny>, Option<f64>);
 
 fn load_part<'py>(
@@ -464,7 +467,7 @@ pub fn triangle_mesh(vertices_mm: &Bound<'_, PyAny>, triangles: &Bound<'_, PyAny
     let vertices = Numbers::new(vertices_mm, "vertices_mm")?;
     let triangles = Numbers::new(triangles, "triangles")?;
     let (vertices, triangles) = (vertices.rows::<DVec3, 3>()?, triangles.rows::<[f64; 3], 3>()?);
-    // Indices come through float64, which is exact far beyond u32.
+    // Indices are passed as float64, which is exact far beyond u32.
     let is_index = |x: &f64| *x >= 0.0 && *x < f64::from(u32::MAX) && *x == f64::from(*x as u32);
     for (row, triangle) in triangles.iter().enumerate() {
         if let Some(found) = triangle.iter().find(|x| !is_index(x)) {

@@ -1,4 +1,4 @@
-//! Trees of settings: TOML text, and Python's dictionaries as the same tree.
+//! Trees of settings: conversion between TOML text and Python dictionaries.
 
 use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyDict, PyFloat, PyInt, PyList, PyMapping, PyString, PyTuple, PyType};
@@ -6,7 +6,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use toml::{Table, Value};
 
-/// A value from TOML text; the message names the line.
+/// Parses a value from TOML text; the message names the line.
 pub fn from_toml<T: DeserializeOwned>(text: &str) -> Result<T, String> {
     toml::from_str(text).map_err(|error| {
         let named = named(text, &error, true);
@@ -15,7 +15,7 @@ pub fn from_toml<T: DeserializeOwned>(text: &str) -> Result<T, String> {
     })
 }
 
-/// The parser's message, with the line that it is about.
+/// The parser's message, with its line.
 fn named(text: &str, error: &toml::de::Error, numbered: bool) -> String {
     let message = error.message();
     let Some((before, after)) = error.span().and_then(|span| text.split_at_checked(span.start)) else {
@@ -30,13 +30,13 @@ fn named(text: &str, error: &toml::de::Error, numbered: bool) -> String {
     }
 }
 
-/// TOML text of a value.
+/// Formats a value as TOML text.
 pub fn to_toml<T: Serialize>(value: &T) -> Result<String, String> {
     toml::to_string(value).map_err(|error| error.to_string())
 }
 
-/// A value with some of its settings replaced, by nested dictionaries or by dotted names; None takes a setting away,
-/// so that it falls back to its default.
+/// Replaces some settings of a value, by nested dictionaries or dotted names; None removes a setting,
+/// which then has its default.
 pub fn replace<T: Serialize + DeserializeOwned>(
     value: &T,
     changes: &Bound<'_, PyMapping>,
@@ -46,20 +46,20 @@ pub fn replace<T: Serialize + DeserializeOwned>(
     from_tree(&tree)
 }
 
-/// A value from nested dictionaries.
+/// Builds a value from nested dictionaries.
 pub fn from_mapping<T: DeserializeOwned>(mapping: &Bound<'_, PyMapping>) -> Result<T, String> {
     let mut tree = Table::new();
     merge(&mut tree, mapping, DEEPEST)?;
     from_tree(&tree)
 }
 
-/// Through text, because only the parser's errors say which setting they are about.
+/// Goes through text, because only the parser's errors name the setting.
 fn from_tree<T: DeserializeOwned>(tree: &Table) -> Result<T, String> {
     let text = to_toml(tree)?;
     toml::from_str(&text).map_err(|error| named(&text, &error, false))
 }
 
-/// Levels of nesting that settings can have; a dictionary that holds itself has no end.
+/// Largest nesting depth of settings; guards against dictionaries that contain themselves.
 const DEEPEST: usize = 32;
 
 fn deeper(left: usize) -> Result<usize, String> {
@@ -67,7 +67,7 @@ fn deeper(left: usize) -> Result<usize, String> {
         .ok_or_else(|| format!("settings are nested more than {DEEPEST} deep; valid is three or four"))
 }
 
-/// Lays `changes` over `tree`; what is unknown is kept, for deserialisation to refuse by name.
+/// Merges `changes` into `tree`; unknown names are kept, to be rejected by name on deserialisation.
 fn merge(tree: &mut Table, changes: &Bound<'_, PyMapping>, depth: usize) -> Result<(), String> {
     let depth = deeper(depth)?;
     for item in changes.items().map_err(text)?.iter() {
@@ -96,7 +96,7 @@ fn merge_one(tree: &mut Table, name: &str, change: &Bound<'_, PyAny>, depth: usi
         tree.insert(name.to_owned(), value(change, depth).map_err(|what| format!("{name}: {what}"))?);
         return Ok(());
     };
-    // What names its kind is a variant of its own and shares no settings with the one before.
+    // A table with a `kind` is a new variant and shares no settings with the previous one.
     let fresh = mapping.contains("kind").map_err(text)? || !tree.get(name).is_some_and(Value::is_table);
     if fresh {
         tree.insert(name.to_owned(), Value::Table(Table::new()));
@@ -133,7 +133,7 @@ fn value(object: &Bound<'_, PyAny>, depth: usize) -> Result<Value, String> {
         let items = object.try_iter().map_err(text)?.map(|item| value(&item.map_err(text)?, depth));
         return items.collect::<Result<_, _>>().map(Value::Array);
     }
-    // Arrays and NumPy's numbers know how to become Python's.
+    // Arrays and NumPy numbers convert themselves to Python objects.
     if object.hasattr("tolist").map_err(text)? {
         return value(&object.call_method0("tolist").map_err(text)?, depth);
     }
@@ -145,12 +145,12 @@ fn text(error: PyErr) -> String {
     error.to_string()
 }
 
-/// What Python's `repr` shows, cut to a line.
+/// Python's `repr`, cut to one line.
 fn shown(object: &Bound<'_, PyAny>) -> String {
     object.repr().map_or_else(|_| "unprintable".into(), |repr| short(&repr.to_string_lossy()))
 }
 
-/// At most as much of a text as a message has room for.
+/// Cuts a text to the length allowed in a message.
 fn short(line: &str) -> String {
     const MOST: usize = 60;
     match line.char_indices().nth(MOST) {
@@ -159,13 +159,13 @@ fn short(line: &str) -> String {
     }
 }
 
-/// The tree as nested dictionaries.
+/// Converts a value to nested dictionaries.
 pub fn to_dict<'py, T: Serialize>(py: Python<'py>, value: &T) -> PyResult<Bound<'py, PyDict>> {
     let tree = Table::try_from(value).map_err(|e| crate::errors::Error::new_err(e.to_string()))?;
     dict(py, &tree)
 }
 
-/// TOML text as nested dictionaries; Python itself reads TOML only from 3.11 on.
+/// TOML text as nested dictionaries; Python reads TOML only since 3.11.
 ///
 /// Raises
 /// ------
@@ -199,9 +199,9 @@ fn python<'py>(py: Python<'py>, value: &Value) -> PyResult<Bound<'py, PyAny>> {
     })
 }
 
-// What every class that is a tree of settings does with files and with pickle, by its own `from_toml` and `to_toml`.
+// File and pickle support for all settings classes, based on their `from_toml` and `to_toml`.
 
-/// A value of the class from a TOML file; errors about the content name the file.
+/// Loads a value of the class from a TOML file; errors about the content name the file.
 pub fn load<'py>(cls: &Bound<'py, PyType>, path: std::path::PathBuf) -> PyResult<Bound<'py, PyAny>> {
     let text = read(cls.py(), path.clone())?;
     cls.call_method1("from_toml", (text,)).map_err(|error| in_file(cls.py(), &error, &path))
@@ -212,10 +212,10 @@ pub fn save<T>(value: &Bound<'_, T>, path: std::path::PathBuf) -> PyResult<()> {
     write(value.py(), path, toml_of(value)?)
 }
 
-/// How pickle makes a value again.
+/// Arguments for unpickling.
 pub type Reduced<'py> = (Bound<'py, PyAny>, (String,));
 
-/// By its TOML text.
+/// Pickles a value as its TOML text.
 pub fn reduce<'py, T>(value: &Bound<'py, T>) -> PyResult<Reduced<'py>> {
     Ok((value.as_any().get_type().getattr("from_toml")?, (toml_of(value)?,)))
 }
@@ -224,17 +224,17 @@ fn toml_of<T>(value: &Bound<'_, T>) -> PyResult<String> {
     value.as_any().call_method0("to_toml")?.extract()
 }
 
-/// Text of a file.
+/// Reads a text file.
 pub fn read(py: Python<'_>, path: std::path::PathBuf) -> PyResult<String> {
     py.detach(|| std::fs::read_to_string(&path)).map_err(|error| with_path(error, &path))
 }
 
-/// Bytes of a file.
+/// Reads a binary file.
 pub fn read_bytes(py: Python<'_>, path: std::path::PathBuf) -> PyResult<Vec<u8>> {
     py.detach(|| std::fs::read(&path)).map_err(|error| with_path(error, &path))
 }
 
-/// An error about the content of a file, with the file's name.
+/// Adds the file's name to an error about its content.
 pub fn in_file(py: Python<'_>, error: &PyErr, path: &std::path::Path) -> PyErr {
     PyErr::from_type(error.get_type(py), format!("{}: {}", path.display(), error.value(py)))
 }
@@ -244,7 +244,7 @@ pub fn write(py: Python<'_>, path: std::path::PathBuf, content: impl AsRef<[u8]>
     py.detach(|| std::fs::write(&path, content.as_ref())).map_err(|error| with_path(error, &path))
 }
 
-/// As Python's own `open` raises it: OSError's subclass by number, with the file's name.
+/// Converts an error as Python's own `open` does: the OSError subclass by number, with the file's name.
 fn with_path(error: std::io::Error, path: &std::path::Path) -> PyErr {
     match error.raw_os_error() {
         Some(number) => {

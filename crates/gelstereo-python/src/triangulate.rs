@@ -1,4 +1,4 @@
-//! From two views to millimetres.
+//! Triangulation of two views, in millimetres.
 
 use crate::arrays::{self, Matrix, Numbers};
 use crate::errors::{ShapeError, TriangulateError, raise};
@@ -16,16 +16,16 @@ fn triangulator(rig: &Bound<'_, Rig>, params: &core::Params) -> PyResult<Triangu
     Triangulator::new(&rig.get().inner, &params.triangulate).map_err(raise)
 }
 
-/// Covariance of a centre with the same noise along both axes.
+/// Isotropic covariance of a centre.
 fn even(sigma_px: f64) -> Symmetric<2> {
     [[sigma_px * sigma_px, 0.0], [0.0, sigma_px * sigma_px]]
 }
 
-/// Points of corresponding pixels, with signed disparity.
+/// Triangulate corresponding pixels, with signed disparity.
 ///
-/// ``triangulate.method`` says how: ``"q"`` (the paper's Eq. 3, which knows no layers), ``"rays"`` (the most likely point
-/// of refracted rays) or ``"polynomial"`` (fitted to the rays around a rest surface). Behind layers, q gives depths that
-/// are wrong by tens of percent.
+/// ``triangulate.method`` selects the method: ``"q"`` (the paper's Eq. 3, without layers), ``"rays"``
+/// (the most likely point of refracted rays) or ``"polynomial"`` (fitted to the rays around a rest
+/// surface). Behind layers, q gives depths that are wrong by tens of percent.
 ///
 /// Parameters
 /// ----------
@@ -35,7 +35,8 @@ fn even(sigma_px: f64) -> Symmetric<2> {
 /// params : Params, optional
 ///     Its ``triangulate`` part is used; both views of every marker count alike.
 /// rest_mm : (M, 3) array_like, optional
-///     The surface around which the polynomial is fitted; without it, and beyond its reach, points are those of rays.
+///     The surface around which the polynomial is fitted; without it, and beyond its reach, points are
+///     those of rays.
 ///
 /// Returns
 /// -------
@@ -45,8 +46,8 @@ fn even(sigma_px: f64) -> Symmetric<2> {
 /// Raises
 /// ------
 /// TriangulateError
-///     If a disparity is not above ``triangulate.min_disparity_px`` (swapped views are named as such), or a pixel has
-///     no ray.
+///     If a disparity is not above ``triangulate.min_disparity_px`` (swapped views are named as such), or
+///     a pixel has no ray.
 ///
 /// Examples
 /// --------
@@ -127,10 +128,11 @@ pub fn triangulate_covariance(
     arrays::shaped(py, values, (points.len(), 3, 3))
 }
 
-/// Centres of the images of discs less the images of their centres, to second order in their size.
+/// Image centroids of discs minus the images of their centres, to second order in the discs' size.
 ///
-/// The image of a tilted disc has its centre elsewhere than where the disc's own centre is seen: by f r² sin a cos a / z² for
-/// a tilt a. Take the bias off measured centres; the pipeline does with ``triangulate.disc_bias = "corrected"``.
+/// The image centroid of a disc tilted by a is offset from the image of its centre by f r² sin a cos a /
+/// z². Subtract this bias from measured centres; the pipeline does so with ``triangulate.disc_bias =
+/// "corrected"``.
 ///
 /// Parameters
 /// ----------

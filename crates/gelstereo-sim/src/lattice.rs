@@ -1,9 +1,9 @@
-//! The marker lattice: where its markers rest, and differences between neighbours.
+//! The marker lattice: rest positions, and differences between neighbours.
 
 use crate::scene::Gel;
 use gelstereo_core::math::{DVec2, cos, sin};
 
-/// The lattice on its layer of gel.
+/// The marker lattice with its gel thickness.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Lattice {
     pub(crate) rows: usize,
@@ -33,8 +33,8 @@ impl Lattice {
         (0..self.rows).flat_map(row_of)
     }
 
-    /// The two neighbours along a row and along a column that a difference is taken over, with their distance
-    /// in pitches: 2, or 1 at the border.
+    /// The two neighbours along the row and along the column for a difference, with their distance in
+    /// pitches: 2, or 1 at the border.
     pub(crate) fn neighbours(&self, index: usize) -> [(usize, usize, f64); 2] {
         let (row, col) = (index / self.cols, index % self.cols);
         let pair = |i: usize, n: usize, stride: usize| {

@@ -1,11 +1,12 @@
-//! A simulated stereo marker sensor: what its cameras would see of a gel in contact, with ground truth.
+//! Simulated stereo marker sensor: renders the camera images of a gel in contact, with ground truth.
 //!
-//! A [`Scene`] lists what there is (rig, gel, indenter, trajectory) and which effects act. Every effect is a
-//! piece of its own: it is built only when the scene lists it, and draws from a random stream of its own.
+//! A [`Scene`] lists the parts of the simulation (rig, gel, indenter, trajectory) and the active
+//! effects. Effects are independent: each is built only when the scene lists it, and draws from its own
+//! random stream.
 //!
-//! The part presses from beyond (larger z) and moves markers towards the camera (smaller z). The base is the
-//! rigid imprint: a marker under the part lies on the part, every other one stays at rest. [`effects`] add what
-//! a real gel and a real camera do to that.
+//! The part presses from beyond the gel (larger z) and moves markers towards the camera (smaller z). The
+//! base model is the rigid imprint: a marker under the part lies on the part, and every other marker
+//! stays at rest. [`effects`] add the behaviour of a real gel and a real camera.
 #![no_std]
 #![forbid(unsafe_code)]
 

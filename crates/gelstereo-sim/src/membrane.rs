@@ -1,27 +1,29 @@
 //! Screened membranes over the marker lattice in closed form.
 //!
-//! On a lattice with free borders the difference operator u - l² Δu has the cosines cos(π k (i + ½) / n) along each axis for
-//! its eigenvectors (Strang 1999), with 1 + l² (4 - 2 cos(π k / rows) - 2 cos(π m / cols)). So a field is solved for by a
-//! cosine transform, a division and the transform back: products with four small matrices, whatever the length is.
+//! On a lattice with free borders, the eigenvectors of the difference operator u - l² Δu are the cosines
+//! cos(π k (i + ½) / n) along each axis (Strang 1999). Its eigenvalues are
+//! 1 + l² (4 - 2 cos(π k / rows) - 2 cos(π m / cols)). So a field is solved by a cosine
+//! transform, a division and the inverse transform. These are products with four small matrices, whatever
+//! the length l.
 
 use alloc::vec::Vec;
 use gelstereo_core::math::{cos, sqrt};
 
-/// Membranes behind each other, ready-made for a lattice.
+/// A chain of membranes, precomputed for a lattice.
 #[derive(Clone, Debug)]
 pub(crate) struct Membranes {
     rows: usize,
     cols: usize,
-    /// Transform along columns and back, row after row.
+    /// Transform along columns and its inverse, row-major.
     down: [Vec<f64>; 2],
-    /// The same along rows, to be multiplied from the right.
+    /// The same along rows, for multiplication from the right.
     across: [Vec<f64>; 2],
-    /// By what every cosine is multiplied.
+    /// Factor of each cosine coefficient.
     gains: Vec<f64>,
 }
 
 impl Membranes {
-    /// Of these lengths, in pitches.
+    /// Decay lengths in pitches.
     pub(crate) fn new([rows, cols]: [usize; 2], lengths: &[f64]) -> Self {
         let bend = |k: usize, n: usize| 2.0 - 2.0 * cos(core::f64::consts::PI * k as f64 / n as f64);
         let gain = |bend: f64| lengths.iter().map(|l| 1.0 / (1.0 + l * l * bend)).product();
@@ -30,7 +32,7 @@ impl Membranes {
         Self { rows, cols, down: cosines(rows), across: [back, along], gains }
     }
 
-    /// Solves for what the membranes make of a field, in place.
+    /// Applies the membranes to a field, in place.
     pub(crate) fn settle(&self, field: &mut Vec<f64>, scratch: &mut Vec<f64>) {
         let Self { rows, cols, down, across, gains } = self;
         multiply(&down[0], field, [*rows, *rows, *cols], scratch);
@@ -41,7 +43,7 @@ impl Membranes {
     }
 }
 
-/// The orthonormal cosines row by row, and their transposed.
+/// The orthonormal cosine matrix, row-major, and its transpose.
 fn cosines(n: usize) -> [Vec<f64>; 2] {
     let at = |k: usize, i: usize| {
         let scale = sqrt(if k == 0 { 1.0 } else { 2.0 } / n as f64);
@@ -50,14 +52,14 @@ fn cosines(n: usize) -> [Vec<f64>; 2] {
     [(0..n * n).map(|e| at(e / n, e % n)).collect(), (0..n * n).map(|e| at(e % n, e / n)).collect()]
 }
 
-/// The product of matrices of n by m and m by p numbers.
+/// Product of an n×m and an m×p matrix.
 fn multiply(a: &[f64], b: &[f64], [n, m, p]: [usize; 3], out: &mut Vec<f64>) {
     out.clear();
     out.resize(n * p, 0.0);
     for (a, out) in a.chunks_exact(m).zip(out.chunks_exact_mut(p)) {
         let (fours, rest) = a.as_chunks::<4>();
         let (of_fours, of_rest) = b.split_at(4 * p * fours.len());
-        // Four at once: sums are fetched and put back less often.
+        // Four at once: fewer loads and stores of the sums.
         for (a, b) in fours.iter().zip(of_fours.chunks_exact(4 * p)) {
             let [b0, b1, b2, b3] = [0, 1, 2, 3].map(|k| &b[k * p..][..p]);
             for ((((out, x), y), z), w) in out.iter_mut().zip(b0).zip(b1).zip(b2).zip(b3) {
@@ -79,7 +81,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(100))]
 
-        /// Against relaxation, which leaves 1e-10; the rest is round-off.
+        /// The reference is relaxation, which leaves 1e-10; the rest is round-off.
         #[test]
         fn membranes_are_what_relaxation_ends_at(
             rows in 2..14_usize, cols in 2..14_usize, first in 0.05..4.0, second in 0.05..4.0,

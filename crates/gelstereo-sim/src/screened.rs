@@ -1,26 +1,27 @@
-//! Screened membranes that are held: u - l² Δu = 0 over the marker lattice, with free borders, beside prescribed values
-//! or above an obstacle.
+//! Constrained screened membranes: u - l² Δu = 0 over the marker lattice, with free borders, beside
+//! prescribed values or above an obstacle.
 //!
-//! Nodes are kept by the two colours of a chessboard (Young 1954): all neighbours of a node have the other colour, so the
-//! nodes of one colour are balanced at once, in plain loops. Steps are lengthened by Chebyshev's factors (Golub and Varga
-//! 1961), which end at the best over-relaxation and, unlike it, do not let errors grow at first. Above an obstacle this
-//! is projected over-relaxation (Cryer 1971), which converges for this operator.
+//! Nodes are stored by chessboard colour (Young 1954). All neighbours of a node have the other colour,
+//! so one colour is updated at once in plain loops. Steps are over-relaxed by Chebyshev's factors (Golub
+//! and Varga 1961). They converge to the optimal over-relaxation factor and, unlike it, do not let
+//! errors grow at first. Above an obstacle this is projected over-relaxation (Cryer 1971), which
+//! converges for this operator.
 
 use crate::lattice::Lattice;
 use alloc::vec;
 use alloc::vec::Vec;
 use gelstereo_core::math::{DVec2, sqrt};
 
-/// How far nodes are from where they would end, at most: a nanometre is 2e-5 px on the default rig.
+/// Largest distance of a node from the exact solution: a nanometre is 2e-5 px on the default rig.
 const LEFT_MM: f64 = 1e-6;
-/// About 11 sweeps are needed for every pitch of decay length: enough for 350 pitches.
+/// About 11 sweeps per pitch of decay length are needed: enough for 350 pitches.
 const MAX_SWEEPS: usize = 4000;
-/// Nodes that are balanced at once.
+/// Nodes that are updated at once.
 const LANES: usize = 4;
 
-/// What a membrane has at every node.
+/// Value of a membrane at a node.
 pub(crate) trait Node: Copy + PartialEq {
-    /// What `make` makes of the numbers of some nodes.
+    /// Applies `make` to each component of some nodes.
     fn each<const N: usize>(of: [Self; N], make: impl Fn([f64; N]) -> f64) -> Self;
 
     fn even(number: f64) -> Self {
@@ -36,8 +37,8 @@ impl Node for f64 {
     }
 }
 
-/// Both components of a motion, which do not mix. They lie where a register is filled at once: neighbours of single
-/// numbers never all do.
+/// Both components of a motion, independent of each other. The alignment lets a register be loaded at
+/// once, because the neighbours of single numbers are never all aligned.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(align(16))]
 pub(crate) struct Motion(pub(crate) DVec2);
@@ -49,23 +50,24 @@ impl Node for Motion {
     }
 }
 
-/// A membrane and where it is held.
+/// A membrane and its constraints.
 ///
-/// Rows are laid one behind the other, each with zeros up to an odd length: they are the neighbours that the border
-/// lacks, and places of one colour are those of one parity, whose neighbours are as many places away everywhere.
+/// Rows are stored consecutively, each padded with zeros to an odd length. The padding serves as the
+/// missing neighbours at the border. Places of one colour are those of one parity, and the offsets to
+/// their neighbours are the same everywhere.
 #[derive(Clone, Debug)]
 pub(crate) struct Screened<U> {
     rows: usize,
     cols: usize,
     /// Half of a row's length, rounded down.
     half: usize,
-    /// Spectral radius of Jacobi's method, from above: that of an even field.
+    /// Upper bound of the spectral radius of Jacobi's method: that of a constant field.
     jacobi: f64,
-    /// Of either colour: l² / (1 + n l²) of nodes with n neighbours; 0 where there is no node.
+    /// Per colour: l² / (1 + n l²) for nodes with n neighbours; 0 in the padding.
     weights: [Vec<U>; 2],
-    /// The nodes, between zeros for the neighbours above the first row and below the last.
+    /// Node values, with zeros for the neighbours above the first row and below the last.
     nodes: [Vec<U>; 2],
-    /// What holds each of them, as the caller understands it; 0 where there is no node.
+    /// Constraint of each node, interpreted by the caller's rule; 0 in the padding.
     held: [Vec<U>; 2],
 }
 
@@ -87,40 +89,41 @@ impl<U: Node> Screened<U> {
         new
     }
 
-    /// Sets the values that the solution starts from.
+    /// Sets the initial values of the solution.
     pub(crate) fn start(&mut self, value: impl Fn(usize) -> U) {
         put([self.rows, self.cols, self.half], value, &mut self.nodes, self.half + 1);
     }
 
-    /// Says what holds the nodes. It does not outlast a solution.
+    /// Sets the constraints of the nodes, for one solve only.
     pub(crate) fn hold(&mut self, value: impl Fn(usize) -> U) {
         put([self.rows, self.cols, self.half], value, &mut self.held, 0);
     }
 
-    /// Solves where nodes held by 0 stay where they started, and those by 1 are free.
+    /// Solves with nodes held by 0 fixed at their initial values, and nodes held by 1 free.
     pub(crate) fn settle_beside(&mut self) {
         self.relax(|old, step, free| old + step * free);
     }
 
-    /// Hands over the solution, row by row.
+    /// Returns the solution, row by row.
     pub(crate) fn values(&self) -> impl Iterator<Item = U> {
         let length = 2 * self.half + 1;
         let places = (0..self.rows).flat_map(move |row| row * length..row * length + self.cols);
         places.map(|place| self.nodes[place % 2][self.half + 1 + place / 2])
     }
 
-    /// Holds what is 0 in `moving` where it is: a component ends as it would alone, bit for bit.
+    /// Freezes the components that are 0 in `moving`, so that each component ends as it would alone, bit
+    /// for bit.
     fn stop(&mut self, moving: U) {
         let all = self.held.iter_mut().flatten();
         all.for_each(|held| *held = U::each([*held, moving], |[held, moving]| held * moving));
     }
 
-    /// Sweeps until nothing is farther than [`LEFT_MM`] from where it would end. `rule` makes of a value, its step and what
-    /// holds it the next one.
+    /// Sweeps until nothing is farther than [`LEFT_MM`] from the solution. `rule` computes the next
+    /// value from a value, its step and its constraint.
     fn relax(&mut self, rule: impl Fn(f64, f64, f64) -> f64 + Copy) {
         let square = self.jacobi * self.jacobi;
         let root = sqrt(1.0 - square);
-        // Sweeps shrink errors by this at last: what is left is a geometric sum of steps.
+        // Asymptotic error reduction per sweep: the remaining error is a geometric sum of steps.
         let shrinks = (1.0 - root) / (1.0 + root);
         let least_mm = LEFT_MM * (1.0 - shrinks);
         let (mut over, mut moving) = ([1.0, 1.0 / (1.0 - 0.5 * square)], U::even(1.0));
@@ -139,12 +142,13 @@ impl<U: Node> Screened<U> {
         }
     }
 
-    /// Moves the nodes of one colour by `over` times the way to where their neighbours balance them; the longest step.
+    /// Moves the nodes of one colour by `over` times the distance to the balance of their neighbours.
+    /// Returns the longest step.
     fn balance(&mut self, colour: usize, over: f64, rule: impl Fn(f64, f64, f64) -> f64) -> U {
         let (half, places) = (self.half, self.weights[colour].len());
         let [even, odd] = &mut self.nodes;
         let (mine, other) = if colour == 0 { (even, odd) } else { (odd, even) };
-        // Place p is the number p / 2 of its colour, and a row is 2 half + 1 places long.
+        // Place p is node p / 2 of its colour, and a row is 2 half + 1 places long.
         let neighbours = [0, half, half + 1, 2 * half + 1];
         let [above, left, right, below] = neighbours.map(|at| lanes(&other[at + colour..][..places]));
         let mut longest = [U::even(0.0); LANES];
@@ -174,7 +178,7 @@ impl<U: Node> Screened<U> {
 }
 
 impl Screened<f64> {
-    /// Solves where no node is below what holds it.
+    /// Solves with every node at or above its constraint.
     pub(crate) fn settle_above(&mut self) {
         self.relax(|old, step, floor| {
             let next = old + step;
@@ -183,7 +187,7 @@ impl Screened<f64> {
     }
 }
 
-/// Puts a field, by index, into its two colours from a number on.
+/// Writes a field, given by index, into its two colours, starting at offset `from`.
 fn put<U>(
     [rows, cols, half]: [usize; 3],
     value: impl Fn(usize) -> U,
@@ -198,7 +202,7 @@ fn put<U>(
     }
 }
 
-/// Nodes by lanes.
+/// Nodes grouped into lanes.
 fn lanes<U>(nodes: &[U]) -> &[[U; LANES]] {
     nodes.as_chunks().0
 }
@@ -209,8 +213,9 @@ pub(crate) mod tests {
     use crate::scene::Gel;
     use proptest::prelude::*;
 
-    /// Balances u - l² Δu = `source` node by node (Gauss and Seidel), `hold` giving the value that is allowed, until
-    /// nothing moves by more than 1e-12: that leaves 1e-10 at these lengths of up to six pitches.
+    /// Reference solver for u - l² Δu = `source`: Gauss-Seidel node by node, where `hold` returns the
+    /// allowed value. It ends when nothing moves by more than 1e-12, which leaves 1e-10 at these lengths
+    /// of up to six pitches.
     pub(crate) fn plainly_relaxed(
         [rows, cols]: [usize; 2],
         length: f64,
@@ -254,7 +259,7 @@ pub(crate) mod tests {
             places in prop::collection::vec(0.0..1.0, 15 * 15),
         ) {
             let mut found = screened([rows, cols], length);
-            // What an answer before leaves behind must not be seen.
+            // The second solve must not depend on the state that the first one leaves.
             for _before in 0..2 {
                 let held = |i: usize| places[i] < share;
                 let at = |i: usize| if held(i) { values[i] } else { 0.0 };
@@ -281,7 +286,7 @@ pub(crate) mod tests {
             }
         }
 
-        /// Whichever of the two comes to rest first.
+        /// Independent of which component converges first.
         #[test]
         fn each_component_of_a_motion_is_that_of_a_membrane_of_its_own(
             rows in 1..16_usize, cols in 1..16_usize, length in 0.05..6.0, share in 0.0..1.0, exponent in -9.0..0.0,

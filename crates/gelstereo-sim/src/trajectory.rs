@@ -5,7 +5,7 @@ use crate::simulator::ContactState;
 use alloc::vec::Vec;
 use gelstereo_core::math::{Pose, floor, so3};
 
-/// Keyframes of part and gel, each in order of time.
+/// Keyframes of the part and of the gel, each in order of time.
 #[derive(Clone, Debug)]
 pub(crate) struct Trajectory {
     keyframes: Vec<Keyframe>,
@@ -41,7 +41,7 @@ impl Trajectory {
     /// Frames from the first keyframe to the last, both included.
     pub(crate) fn frames(&self) -> usize {
         let [first, last] = self.span_s();
-        // 0.1 s at 30 Hz is 3.0000000000000004 frames, and 0.7 s is 20.999999999999996.
+        // With rounding, 0.1 s at 30 Hz is 3.0000000000000004 frames, and 0.7 s is 20.999999999999996.
         floor((last - first) * self.frame_rate_hz + 1e-6) as usize + 1
     }
 
@@ -49,8 +49,8 @@ impl Trajectory {
         self.span_s()[0] + frame as f64 / self.frame_rate_hz
     }
 
-    /// Contact at a time: translation, shear and twist linear between keyframes, rotation along the shortest arc; the
-    /// first keyframe holds before, the last one after.
+    /// Contact at a time. Translation, shear and twist are linear between keyframes; rotation follows
+    /// the shortest arc. The first keyframe applies before it, and the last one after it.
     pub(crate) fn contact(&self, time_s: f64) -> Option<ContactState> {
         let (before, after, share) = around(&self.keyframes, |k| k.time_s, time_s)?;
         Some(match share {
@@ -59,7 +59,7 @@ impl Trajectory {
         })
     }
 
-    /// A contact at one time as it is at another, when it moves as the trajectory's does between them.
+    /// Moves a contact from one time to another by the trajectory's motion between them.
     pub(crate) fn carried(&self, contact: &ContactState, from_s: f64, to_s: f64) -> ContactState {
         let (Some(from), Some(to)) = (self.contact(from_s), self.contact(to_s)) else { return *contact };
         let (before, after, own) = (from.t_sensor_object, to.t_sensor_object, contact.t_sensor_object);
@@ -89,8 +89,8 @@ impl Trajectory {
     }
 }
 
-/// The keyframes before and after a time and how far it is from the one to the other; outside all of them the nearest
-/// one, twice and with no share. `None` when there are none.
+/// The keyframes before and after a time, and the fraction of the interval between them. Outside all
+/// keyframes, the nearest one twice and no fraction. `None` without keyframes.
 fn around<K>(keyframes: &[K], at: impl Fn(&K) -> f64, time_s: f64) -> Option<(&K, &K, Option<f64>)> {
     let next = keyframes.partition_point(|k| at(k) <= time_s);
     let before = keyframes.get(next.saturating_sub(1))?;

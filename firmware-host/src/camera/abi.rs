@@ -1,6 +1,6 @@
-//! The kernel's interface, `linux/videodev2.h`, and the system calls that use it.
+//! Kernel interface `linux/videodev2.h` and the system calls that use it.
 //!
-//! With `ring.rs` the only place with unsafe code. Everything outside works with safe wrappers.
+//! Unsafe code is confined to this file and `ring.rs`; the rest uses safe wrappers.
 
 use std::io;
 use std::os::fd::{AsRawFd, BorrowedFd};
@@ -72,7 +72,7 @@ pub(super) struct PixFormat {
     pub transfer_function: u32,
 }
 
-/// The kernel's union of 200 bytes, whose other members hold pointers: hence the alignment.
+/// The kernel's union of 200 bytes. Its other members hold pointers, hence the alignment.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub(super) struct FormatUnion {
@@ -108,8 +108,8 @@ pub(super) struct StreamParameters {
     pub rest: [u8; 160],
 }
 
-/// `discrete` stands in the first two numbers, `stepwise` in all: least, largest, step of width, then of
-/// height.
+/// `discrete` uses the first two numbers, `stepwise` all: smallest, largest and step of the width, then
+/// of the height.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub(super) struct FrameSize {
@@ -120,7 +120,7 @@ pub(super) struct FrameSize {
     pub reserved: [u32; 2],
 }
 
-/// `discrete` stands in the first fraction, `stepwise` in all: shortest, longest, step.
+/// `discrete` uses the first fraction, `stepwise` all: shortest, longest, step.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub(super) struct FrameInterval {
@@ -164,7 +164,7 @@ pub(super) struct Buffer {
     pub timecode: Timecode,
     pub sequence: u32,
     pub memory: u32,
-    /// The kernel's union of an offset, a pointer and a file handle; for `MEMORY_MMAP` the offset.
+    /// The kernel's union of offset, pointer and file handle; with `MEMORY_MMAP` it is the offset.
     pub offset: Offset,
     pub length: u32,
     pub reserved2: u32,
@@ -196,7 +196,7 @@ pub(super) struct QueryExtCtrl {
     pub reserved: [u32; 32],
 }
 
-/// The kernel's union of a name and a number, which stands in the name's first eight bytes.
+/// The kernel's union of a name and a number; the number occupies the name's first eight bytes.
 #[repr(C, packed)]
 #[derive(Clone, Copy)]
 pub(super) struct QueryMenu {
@@ -206,7 +206,8 @@ pub(super) struct QueryMenu {
     pub reserved: u32,
 }
 
-/// The kernel's union holds pointers too; here always a number of 32 or 64 bits in native order.
+/// The kernel's union also holds pointers; here it is always a number of 32 or 64 bits in native byte
+/// order.
 #[repr(C, packed)]
 #[derive(Clone, Copy)]
 pub(super) struct ExtControl {
@@ -227,14 +228,14 @@ pub(super) struct ExtControls {
     controls: *mut ExtControl,
 }
 
-/// A structure of the kernel's interface that any bytes make a valid value of.
+/// Structure of the kernel interface for which any byte pattern is a valid value.
 ///
 /// # Safety
-/// Zeros must be a valid value, and any bytes that the kernel writes.
+/// All zeros, and any bytes that the kernel writes, must be a valid value.
 pub(super) unsafe trait Plain: Copy {
     /// All zeros.
     fn zeroed() -> Self {
-        // SAFETY: the trait's promise.
+        // SAFETY: guaranteed by the trait.
         unsafe { std::mem::zeroed() }
     }
 }
@@ -242,7 +243,7 @@ pub(super) unsafe trait Plain: Copy {
 macro_rules! plain {
     ($($name:ty),+ $(,)?) => {
         $(
-            // SAFETY: numbers and arrays of numbers only, or a raw pointer.
+            // SAFETY: contains only numbers and arrays of numbers, or a raw pointer.
             unsafe impl Plain for $name {}
         )+
     };
@@ -263,7 +264,7 @@ plain!(
     u32
 );
 
-/// A system call on a device with its structure: `VIDIOC_` and a name in the kernel's headers.
+/// A system call on a device with its structure. The name is that of the kernel's headers, `VIDIOC_` ..
 pub(super) struct Call<T> {
     pub name: &'static str,
     number: u32,
@@ -286,7 +287,7 @@ macro_rules! calls {
                 libc::$direction::<$structure>(V, $number) as u32,
             );
         )+
-        /// Every call's name and number.
+        /// Name and number of every call.
         #[cfg(test)]
         const NUMBERS: &[(&str, u32)] = &[$(($constant.name, $constant.number)),+];
     };
@@ -310,12 +311,12 @@ calls! {
     QUERY_EXT_CTRL = _IOWR 103 QueryExtCtrl,
 }
 
-/// Makes a call. A call that a signal interrupts is made again.
+/// Makes a call and repeats it if a signal interrupts it.
 pub(super) fn call<T: Plain>(device: BorrowedFd<'_>, call: &Call<T>, argument: &mut T) -> io::Result<()> {
     loop {
-        // SAFETY: the file is open, the number encodes the size of `T`, and `argument` is valid for reads and
-        // writes of that size. Pointers within it are null or set by `one_control`, which keeps what they
-        // point to alive.
+        // SAFETY: the file is open, the number encodes the size of `T`, and `argument` is valid for
+        // reads and writes of that size. Pointers within it are null or set by `one_control`, which
+        // keeps their targets alive.
         let answer =
             unsafe { libc::ioctl(device.as_raw_fd(), call.number as _, std::ptr::from_mut(argument)) };
         if answer >= 0 {
@@ -328,12 +329,12 @@ pub(super) fn call<T: Plain>(device: BorrowedFd<'_>, call: &Call<T>, argument: &
     }
 }
 
-/// Reads a control's number.
+/// Reads the number of a control.
 pub(super) fn get_control(device: BorrowedFd<'_>, control: &mut ExtControl) -> io::Result<()> {
     one_control(device, &G_EXT_CTRLS, control)
 }
 
-/// Writes a control's number; the driver may change it to a valid one.
+/// Writes the number of a control; the driver may replace it by a valid one.
 pub(super) fn set_control(device: BorrowedFd<'_>, control: &mut ExtControl) -> io::Result<()> {
     one_control(device, &S_EXT_CTRLS, control)
 }
@@ -348,14 +349,14 @@ fn one_control(
     call(device, which, &mut controls)
 }
 
-/// What `poll` says of two files.
+/// Result of `poll` on two files.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Readiness {
     /// A frame can be dequeued.
     pub frame: bool,
     /// `POLLERR`, `POLLHUP` or `POLLNVAL` on the camera.
     pub fault: Option<&'static str>,
-    /// The other file can be read, or its writer is gone.
+    /// The other file can be read, or its writer has closed it.
     pub woken: bool,
 }
 
@@ -366,7 +367,7 @@ pub(super) fn poll(
     timeout: Duration,
 ) -> io::Result<Readiness> {
     let watch = |fd: i32| libc::pollfd { fd, events: libc::POLLIN, revents: 0 };
-    // A negative number is skipped.
+    // `poll` skips a negative descriptor.
     let mut files = [watch(camera.map_or(-1, |file| file.as_raw_fd())), watch(wake.as_raw_fd())];
     let timeout_ms = i32::try_from(timeout.as_millis()).unwrap_or(i32::MAX);
     // SAFETY: the array is valid for the call and its length is given.
@@ -387,7 +388,7 @@ pub(super) fn poll(
     })
 }
 
-/// The text of a field that the kernel fills with zeros.
+/// Text of a field padded with zeros by the kernel.
 pub(super) fn text(field: &[u8]) -> String {
     let end = field.iter().position(|&byte| byte == 0).unwrap_or(field.len());
     String::from_utf8_lossy(&field[..end]).into_owned()

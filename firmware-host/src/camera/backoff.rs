@@ -1,8 +1,8 @@
-//! How long to wait before a lost camera is tried again.
+//! Pauses before reconnecting to a lost camera.
 
 use std::time::Duration;
 
-/// Pauses that double from the shortest to the longest one.
+/// Pauses that double from the shortest to the longest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Backoff {
     min: Duration,
@@ -11,7 +11,7 @@ pub struct Backoff {
 }
 
 impl Backoff {
-    /// From `min` to `max`; a `max` below `min` counts as `min`.
+    /// Pauses from `min` to `max`; a `max` below `min` counts as `min`.
     #[must_use]
     pub fn new(min: Duration, max: Duration) -> Self {
         Self { min, max: max.max(min), next: min }
@@ -24,7 +24,7 @@ impl Backoff {
         pause
     }
 
-    /// Starts again from the shortest pause: the camera works.
+    /// Restarts from the shortest pause once the camera works.
     pub fn reset(&mut self) {
         self.next = self.min;
     }

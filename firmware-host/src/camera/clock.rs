@@ -1,36 +1,35 @@
-//! The driver's timestamps: whether they can be of `CLOCK_MONOTONIC`, and whether they go forward.
+//! Checks whether the driver's timestamps can be of `CLOCK_MONOTONIC` and whether they increase.
 
 use crate::source::SourceEvent;
 
-/// A driver's timestamp may be this much later than the moment of its reading: what is converted from a
-/// device's own clock is off at the start, and vivid's is the end of the frame to come.
+/// A driver's timestamp may be this much later than the time of reading. Times converted from a device
+/// clock are inaccurate at the start, and vivid's is the end of the coming frame.
 const MAX_AHEAD_NS: u64 = 1_000_000_000;
-/// And this much earlier: no driver keeps an image longer, and the clocks of the day and of the start-up
-/// differ by more.
+/// A driver's timestamp may be this much earlier: no driver keeps an image longer, and wall-clock time
+/// differs from time since boot by more.
 const MAX_BEHIND_NS: u64 = 10_000_000_000;
 
-/// A frame's moment.
+/// Time of a frame.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Timestamp {
-    /// The driver's timestamp, or the moment of reading in its place. Later than every earlier one.
+    /// The driver's timestamp, or the time of reading in its place. It is later than every earlier one.
     pub time_ns: u64,
-    /// What is wrong with the driver's timestamp, if that is news.
+    /// Newly detected fault of the driver's timestamp.
     pub fault: Option<String>,
 }
 
 impl Timestamp {
-    /// What to tell of the fault.
+    /// Event that reports the fault.
     #[must_use]
     pub fn event(&self, sequence: u64) -> Option<SourceEvent> {
         self.fault.as_ref().map(|reason| SourceEvent::Timestamp { sequence, reason: reason.clone() })
     }
 }
 
-/// Follows the timestamps of one stream.
+/// Checks the timestamps of one stream.
 ///
-/// A frame whose timestamp cannot be used gets the moment of its reading. A clock that is not
-/// `CLOCK_MONOTONIC` is told once, until timestamps are good again; a timestamp that goes back is told every
-/// time.
+/// A frame with an unusable timestamp gets the time of reading. A clock other than `CLOCK_MONOTONIC` is
+/// reported once until timestamps are valid again. A timestamp that goes back is reported every time.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct TimestampCheck {
     last_driver_ns: Option<u64>,
@@ -39,8 +38,8 @@ pub struct TimestampCheck {
 }
 
 impl TimestampCheck {
-    /// Takes the next frame: the driver's timestamp, if its flags say that it is of `CLOCK_MONOTONIC`, and
-    /// the moment of reading on that clock.
+    /// Processes the next frame: the driver's timestamp, if its flags state `CLOCK_MONOTONIC`, and the
+    /// time of reading on that clock.
     pub fn step(&mut self, driver_ns: Option<u64>, read_ns: u64) -> Timestamp {
         let wrong = match driver_ns {
             None => Some("the driver's timestamps are not of CLOCK_MONOTONIC".to_owned()),
@@ -97,7 +96,7 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever the driver says, time goes forward; and what is good is taken as it is.
+        /// Time increases for any driver timestamps, and valid ones are used unchanged.
         #[test]
         fn time_goes_forward(
             stamps in prop::collection::vec((any::<bool>(), any::<u64>(), 0u64..5_000_000), 1..60)

@@ -1,4 +1,4 @@
-//! What is wanted of a camera.
+//! Camera configuration.
 
 use super::{CaptureError, ControlSettings, PixelFormat};
 use crate::source::{FrameMode, StereoLayout};
@@ -81,7 +81,7 @@ impl Default for CameraConfig {
 }
 
 impl CameraConfig {
-    /// Where both views stand in a frame; `None` where each has its own device.
+    /// Arrangement of the two views in a frame; `None` if each has its own device.
     #[must_use]
     pub fn joint_layout(&self) -> Option<StereoLayout> {
         self.right_device.is_none().then_some(self.layout)
@@ -102,7 +102,7 @@ impl CameraConfig {
         Duration::from_millis(self.stall_timeout_ms)
     }
 
-    /// Checks every setting against its meaning; whether the camera can do it, opening it tells.
+    /// Checks every setting by itself. Opening the camera checks whether the camera supports it.
     ///
     /// # Errors
     /// [`CaptureError::Setting`].

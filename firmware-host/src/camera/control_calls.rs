@@ -1,4 +1,4 @@
-//! Controls by the kernel's calls: list, read, write and read back.
+//! Control access through kernel calls: list, read, write and read back.
 
 use super::abi::{self, ExtControl, Plain, QueryExtCtrl, QueryMenu};
 use super::controls::{Control, ControlKind, ControlWrite, MenuItem, control_name};
@@ -14,7 +14,7 @@ const TYPE_INTEGER64: u32 = 5;
 const TYPE_BITMASK: u32 = 8;
 const TYPE_INTEGER_MENU: u32 = 9;
 
-/// More controls than any device has: a driver that never ends its list shall not hold us up.
+/// More controls than any device has. It bounds the loop for a driver whose list never ends.
 const MAX_CONTROLS: usize = 1024;
 
 /// Controls of a device that hold one number, with their values.
@@ -93,7 +93,7 @@ fn read(device: &Device, control: &Control) -> Option<i64> {
     Some(number(control, argument.value))
 }
 
-/// 32-bit numbers stand in the first four of the eight bytes.
+/// 32-bit numbers occupy the first four of the eight bytes.
 fn number(control: &Control, value: [u8; 8]) -> i64 {
     let [a, b, c, d, ..] = value;
     match (control.wide, control.kind) {
@@ -107,12 +107,12 @@ fn bytes(control: &Control, value: i64) -> [u8; 8] {
     if control.wide {
         return value.to_ne_bytes();
     }
-    // The range check leaves 32 bits, signed or, for bit masks, unsigned.
+    // After the range check the value fits 32 bits, signed or, for bit masks, unsigned.
     let [a, b, c, d] = (value as i32).to_ne_bytes();
     [a, b, c, d, 0, 0, 0, 0]
 }
 
-/// Writes what is wanted and reads it back.
+/// Writes the settings and reads them back.
 pub(super) fn apply(device: &Device, settings: &ControlSettings) -> Result<(), CaptureError> {
     if *settings == ControlSettings::default() {
         return Ok(());

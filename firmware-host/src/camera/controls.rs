@@ -1,4 +1,4 @@
-//! Controls of a camera: what there is, what is wanted, and what may be written.
+//! Controls of a camera: description, settings and the checked plan of writes.
 
 use super::CaptureError;
 use super::config::setting;
@@ -15,13 +15,13 @@ const EXPOSURE_ABSOLUTE: u32 = 0x009a_0902;
 
 const EXPOSURE_FULLY_AUTOMATIC: i64 = 0;
 const EXPOSURE_MANUAL: i64 = 1;
-/// Exposure by the camera at a fixed aperture: what most USB cameras offer as automatic.
+/// Exposure controlled by the camera at a fixed aperture: the automatic mode of most USB cameras.
 const EXPOSURE_APERTURE_PRIORITY: i64 = 3;
 
-/// `exposure_time_absolute` counts in these.
+/// Unit of `exposure_time_absolute`.
 const EXPOSURE_UNIT_US: f64 = 100.0;
 
-/// What a control's number means.
+/// Kind of a control's value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ControlKind {
@@ -29,9 +29,9 @@ pub enum ControlKind {
     Integer,
     /// 0 or 1.
     Boolean,
-    /// One of the menu's items.
+    /// An item of the menu.
     Menu,
-    /// Writing does something; there is no value.
+    /// Writing triggers an action; there is no value.
     Button,
     /// A set of bits.
     Bitmask,
@@ -40,9 +40,9 @@ pub enum ControlKind {
 /// An item of a menu.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct MenuItem {
-    /// The control's value for it.
+    /// Value of the control for this item.
     pub index: i64,
-    /// The driver's name or number for it.
+    /// Name or number of the item in the driver.
     pub name: String,
 }
 
@@ -60,33 +60,33 @@ pub struct Control {
     pub minimum: i64,
     /// Largest value.
     pub maximum: i64,
-    /// Distance of valid values.
+    /// Step between valid values.
     pub step: u64,
-    /// The driver's default.
+    /// Default of the driver.
     pub default: i64,
-    /// The value now; unknown where it cannot be read.
+    /// Present value; `None` if it cannot be read.
     pub value: Option<i64>,
     /// Whether it cannot be written.
     pub read_only: bool,
-    /// Whether another control, such as an automatic one, makes it useless now.
+    /// Whether another control, such as an automatic mode, disables it at present.
     pub inactive: bool,
-    /// Items of a menu.
+    /// Menu items.
     pub menu: Vec<MenuItem>,
-    /// Whether the driver counts it in 64 bits.
+    /// Whether the driver uses 64 bits.
     #[serde(skip)]
     pub wide: bool,
 }
 
 impl Control {
-    /// Whether this value may be written.
+    /// Checks that a value may be written.
     ///
     /// # Errors
-    /// [`CaptureError::ControlValue`], which says what is valid.
+    /// [`CaptureError::ControlValue`], which states the valid values.
     pub fn check(&self, value: i64) -> Result<(), CaptureError> {
         self.check_as(value, &self.name, &value.to_string(), 1.0, "")
     }
 
-    /// As [`Self::check`], told in another name, unit and scale.
+    /// As [`Self::check`], but reported with another name, unit and scale.
     fn check_as(
         &self,
         value: i64,
@@ -152,12 +152,12 @@ pub struct ControlSettings {
     pub other: BTreeMap<String, i64>,
 }
 
-/// A value to be written to a control.
+/// A value to write to a control.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ControlWrite {
-    /// Where.
+    /// The control.
     pub control: Control,
-    /// What.
+    /// The value.
     pub value: i64,
 }
 
@@ -182,7 +182,7 @@ impl ControlSettings {
         Ok(())
     }
 
-    /// Lays later wishes over these.
+    /// Overrides these settings by later ones.
     pub fn merge(&mut self, later: &Self) {
         if let Some(auto) = later.auto_exposure {
             self.auto_exposure = Some(auto);
@@ -204,7 +204,7 @@ impl ControlSettings {
         self.other.extend(later.other.iter().map(|(name, value)| (name.clone(), *value)));
     }
 
-    /// What is to be written to a camera with these controls, in this order: automatic modes come before the
+    /// Values to write to a camera with these controls, in this order: automatic modes precede the
     /// values that they would change.
     ///
     /// # Errors
@@ -272,7 +272,7 @@ impl Plan<'_> {
         let name = "exposure_us";
         let control = self.find(EXPOSURE_ABSOLUTE, name)?.clone();
         let value = exposure_us / EXPOSURE_UNIT_US;
-        // A value between two steps is refused like one outside: no camera has it.
+        // A value between two steps is refused like one out of range: no camera supports it.
         let whole = if value.fract() == 0.0 { value as i64 } else { i64::MIN };
         control.check_as(whole, name, &exposure_us.to_string(), EXPOSURE_UNIT_US, " us")?;
         self.writes.push(ControlWrite { control, value: whole });
@@ -280,7 +280,7 @@ impl Plan<'_> {
     }
 }
 
-/// A driver's text for a control as the name that `v4l2-ctl` gives it: "Exposure Time, Absolute" is
+/// Converts a driver's control text to the name used by `v4l2-ctl`: "Exposure Time, Absolute" becomes
 /// `exposure_time_absolute`.
 #[must_use]
 pub fn control_name(text: &str) -> String {

@@ -1,4 +1,4 @@
-//! An opened video node: what it is, what it offers, and its format.
+//! An opened video node: its capabilities, offers and format.
 
 use super::abi::{
     self, BUF_TYPE_VIDEO_CAPTURE, Call, Capability, FIELD_ANY, FIELD_NONE, Format, FormatDescription,
@@ -11,22 +11,22 @@ use std::os::fd::{AsFd, BorrowedFd};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
 
-/// A driver's rate may be off by this share: 29.97 Hz passes for 30 Hz.
+/// Relative tolerance of a driver's rate: 29.97 Hz passes for 30 Hz.
 const RATE_TOLERANCE: f64 = 0.01;
 
-/// Formats, sizes and rates that are listed in an error.
+/// Largest number of formats, sizes and rates listed in an error.
 const MAX_OFFERS: usize = 60;
 
 /// An opened video node.
 #[derive(Debug)]
 pub(super) struct Device {
     file: File,
-    /// Its path and what else is known of it.
+    /// Path and description.
     pub name: String,
 }
 
 impl Device {
-    /// Opens a node that gives frames in one plane. Nothing that is done with it waits for a frame.
+    /// Opens a node that delivers frames in one plane. Non-blocking: no call waits for a frame.
     pub fn open(path: &Path, name: &str) -> Result<Self, CaptureError> {
         let fail = |error| CaptureError::Open { path: path.to_owned(), error };
         let file = open_file(path).map_err(fail)?;
@@ -52,7 +52,7 @@ impl Device {
         abi::call(self.file.as_fd(), call, argument)
     }
 
-    /// As [`Self::call`], with the error that names device and call.
+    /// As [`Self::call`], with an error that names device and call.
     pub fn must<T: Plain>(&self, call: &Call<T>, argument: &mut T) -> Result<(), CaptureError> {
         self.call(call, argument).map_err(|error| self.failed(call.name, error))
     }
@@ -61,7 +61,7 @@ impl Device {
         CaptureError::Call { device: self.name.clone(), call, error }
     }
 
-    /// Sets format and size, and checks that the driver took them.
+    /// Sets format and size, and checks that the driver accepted them.
     pub fn set_format(&self, config: &CameraConfig) -> Result<FrameShape, CaptureError> {
         let offered = self.fourccs();
         let known = config.format.fourccs();
@@ -96,7 +96,7 @@ impl Device {
         Ok(FrameShape { format: config.format, width, height, stride })
     }
 
-    /// Sets the frame rate and returns the driver's; `None` where the driver has no say in it.
+    /// Sets the frame rate and returns the driver's; `None` if the driver does not control it.
     pub fn set_rate(&self, config: &CameraConfig) -> Result<Option<f64>, CaptureError> {
         let asked_hz = config.frame_rate_hz;
         let mut parameters = StreamParameters {
@@ -191,13 +191,13 @@ impl Device {
         }
     }
 
-    /// Calls with the indices 0, 1, .. until the driver refuses one.
+    /// Repeats a call with the indices 0, 1, .. until the driver refuses one.
     fn enumerate<'a, T: Plain + 'a>(
         &'a self,
         call: &'a Call<T>,
         ask: impl Fn(u32) -> T + 'a,
     ) -> impl Iterator<Item = T> + 'a {
-        // A driver that never refuses shall not hold us up.
+        // Bounded in case a driver never refuses.
         (0..256).map_while(move |index| {
             let mut answer = ask(index);
             self.call(call, &mut answer).ok().map(|()| answer)
@@ -211,7 +211,7 @@ impl AsFd for Device {
     }
 }
 
-/// What a node gives.
+/// Kind of a node.
 pub(super) fn kind(path: &Path) -> io::Result<NodeKind> {
     kind_of(&open_file(path)?)
 }
@@ -223,7 +223,7 @@ fn open_file(path: &Path) -> io::Result<File> {
 fn kind_of(file: &File) -> io::Result<NodeKind> {
     let mut capability = Capability::zeroed();
     abi::call(file.as_fd(), &abi::QUERYCAP, &mut capability)?;
-    // The one is of the node, the other of all nodes of the device.
+    // `device_caps` belongs to this node, `capabilities` to all nodes of the device.
     let of_node = capability.capabilities & abi::CAP_DEVICE_CAPS != 0;
     let caps = if of_node { capability.device_caps } else { capability.capabilities };
     let has = |bit: u32| caps & bit != 0;
@@ -238,7 +238,7 @@ fn kind_of(file: &File) -> io::Result<NodeKind> {
     })
 }
 
-/// The interval of a rate, exact for whole rates.
+/// Frame interval of a rate, exact for whole rates.
 fn interval(rate_hz: f64) -> Fraction {
     if rate_hz.fract() == 0.0 {
         Fraction { numerator: 1, denominator: rate_hz as u32 }
@@ -251,7 +251,7 @@ fn rate_hz(interval: Fraction) -> f64 {
     f64::from(interval.denominator) / f64::from(interval.numerator)
 }
 
-/// A rate with two decimal places at most.
+/// Rounds a rate to two decimal places.
 fn hz(rate: f64) -> f64 {
     (rate * 100.0).round() / 100.0
 }

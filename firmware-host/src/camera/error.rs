@@ -1,92 +1,92 @@
-//! Why a camera cannot be used.
+//! Errors of cameras.
 
 use super::CameraInfo;
 use std::path::PathBuf;
 use std::time::Duration;
 
-/// Why a camera cannot be used.
+/// Reason why a camera cannot be used.
 #[derive(Debug)]
 pub enum CaptureError {
     /// This system has no Video4Linux2.
     Unsupported,
-    /// A setting makes no sense.
+    /// A setting is invalid.
     Setting {
         /// Its name.
         name: &'static str,
-        /// What was found.
+        /// Value found.
         found: String,
-        /// What would be valid.
+        /// Valid values.
         valid: String,
     },
-    /// There is no such camera.
+    /// No camera has this name.
     NotFound {
-        /// The name that was looked for.
+        /// Name searched for.
         name: String,
-        /// Cameras that are there.
+        /// Cameras present.
         present: Vec<CameraInfo>,
     },
     /// Several cameras have this name.
     Ambiguous {
-        /// The name that was looked for.
+        /// Name searched for.
         name: String,
-        /// Cameras that have it.
+        /// Cameras with this name.
         matches: Vec<CameraInfo>,
     },
-    /// Another camera is at the path of the one that was lost.
+    /// Another camera is at the path of the lost one.
     Replaced {
         /// The lost camera.
         expected: String,
-        /// The other one.
+        /// The other camera.
         found: String,
     },
     /// A device cannot be opened.
     Open {
         /// Its path.
         path: PathBuf,
-        /// The system's answer.
+        /// Error of the system.
         error: std::io::Error,
     },
-    /// A device is no camera that frames can be read from.
+    /// A device does not deliver readable camera frames.
     NotCapture {
         /// Its path.
         path: PathBuf,
-        /// What it is.
+        /// Kind of the device.
         what: &'static str,
     },
-    /// The driver does not give the format, size or rate that was asked for.
+    /// The driver does not accept the requested format, size or rate.
     Format {
         /// The device.
         device: String,
-        /// What was asked for.
+        /// Requested value.
         asked: String,
-        /// What the driver would give in its place.
+        /// Value offered by the driver instead.
         found: String,
-        /// What the device offers.
+        /// Values offered by the device.
         offered: Vec<String>,
     },
-    /// There is no such control.
+    /// No control has this name.
     NoControl {
         /// Its name.
         name: String,
         /// Controls of the device.
         offered: Vec<String>,
     },
-    /// A control cannot have this value.
+    /// The value is invalid for the control.
     ControlValue {
         /// Its name.
         name: String,
-        /// What was found.
+        /// Value found.
         found: String,
-        /// What would be valid, with the unit.
+        /// Valid values with their unit.
         valid: String,
     },
-    /// The driver refused a valid value, or took another one.
+    /// The driver refused a valid value, or set another one.
     ControlRefused {
         /// The control's name.
         name: String,
         /// The value.
         value: i64,
-        /// The system's answer, or the value that it took.
+        /// Error of the system, or the value that was set.
         answer: String,
     },
     /// A system call failed.
@@ -95,22 +95,22 @@ pub enum CaptureError {
         device: String,
         /// The call.
         call: &'static str,
-        /// The system's answer.
+        /// Error of the system.
         error: std::io::Error,
     },
-    /// A device did not answer in time. It is left alone until its driver gives up.
+    /// A device did not answer in time. Its thread is left to run until the driver gives up.
     NoAnswer {
         /// The device.
         device: String,
-        /// How long it was waited for.
+        /// Time waited.
         waited: Duration,
     },
-    /// A lost camera has no controls until it is back.
+    /// A lost camera has no controls until it is reconnected.
     Disconnected {
         /// The device.
         device: String,
     },
-    /// The camera's thread ended: a defect of this library.
+    /// The camera's thread ended: a bug in this library.
     Ended {
         /// The device.
         device: String,
@@ -118,7 +118,7 @@ pub enum CaptureError {
 }
 
 impl CaptureError {
-    /// What went wrong, where the device is named beside it.
+    /// Reason without the device name, for use next to it.
     #[must_use]
     pub fn reason(&self) -> String {
         match self {
@@ -201,7 +201,7 @@ impl std::fmt::Display for CaptureError {
 
 impl std::error::Error for CaptureError {}
 
-/// A list of cameras in one line.
+/// Formats a list of cameras in one line.
 struct Cameras<'a>(&'a [CameraInfo]);
 
 impl std::fmt::Display for Cameras<'_> {

@@ -1,4 +1,4 @@
-//! From a driver's bytes to grey images.
+//! Decodes driver frames to grey images.
 
 use crate::source::jpeg::{JpegDecoder, JpegError, trimmed};
 use crate::source::{Gray, OddWidth, StereoLayout};
@@ -21,7 +21,7 @@ pub enum PixelFormat {
 }
 
 impl PixelFormat {
-    /// The driver's four characters; drivers use either where there are two.
+    /// FourCC codes of the driver; drivers use either if there are two.
     #[must_use]
     pub const fn fourccs(self) -> &'static [[u8; 4]] {
         match self {
@@ -32,7 +32,7 @@ impl PixelFormat {
         }
     }
 
-    /// Bytes of one row, where rows have a fixed length.
+    /// Bytes of one row, if rows have a fixed length.
     #[must_use]
     pub const fn row_bytes(self, width: usize) -> Option<usize> {
         match self {
@@ -42,7 +42,7 @@ impl PixelFormat {
         }
     }
 
-    /// Why frames of this format cannot hold two views so, if they cannot.
+    /// Reason why frames of this format cannot hold two views in this layout, if any.
     #[must_use]
     pub fn conflict(self, layout: StereoLayout, width: usize) -> Option<&'static str> {
         let interleaved = matches!(layout, StereoLayout::Interleaved | StereoLayout::InterleavedSwapped);
@@ -81,34 +81,34 @@ impl std::fmt::Display for PixelFormat {
     }
 }
 
-/// The shape of a device's frames.
+/// Shape of a device's frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FrameShape {
     /// Format.
     pub format: PixelFormat,
-    /// Pixels per row, as the driver counts them.
+    /// Pixels per row, as counted by the driver.
     pub width: usize,
     /// Rows.
     pub height: usize,
-    /// Bytes from row to row; not used for JPEG.
+    /// Bytes from row to row; unused for JPEG.
     pub stride: usize,
 }
 
-/// Why a frame cannot be used.
+/// Reason why a frame cannot be used.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum FrameFault {
-    /// The driver gave fewer bytes than a frame has, or the shape is none.
+    /// The driver delivered fewer bytes than a frame has, or the shape is invalid.
     Shape(ImageError),
-    /// No JPEG image.
+    /// The data are not a valid JPEG image.
     Jpeg(JpegError),
-    /// The JPEG image is not of the size that the driver announced.
+    /// The size of the JPEG image differs from the one announced by the driver.
     Size {
         /// Width and height found, pixels.
         found: (usize, usize),
         /// Width and height of the driver's format, pixels.
         expected: (usize, usize),
     },
-    /// Two views do not fit.
+    /// The frame cannot be split into two views.
     Layout(OddWidth),
 }
 
@@ -141,7 +141,7 @@ impl From<JpegError> for FrameFault {
     }
 }
 
-/// Decodes frames to luma. Its buffers are used again from frame to frame.
+/// Decodes frames to luma. Buffers are reused from frame to frame.
 #[derive(Clone, Debug, Default)]
 pub struct FrameDecoder {
     jpeg: JpegDecoder,
@@ -149,10 +149,10 @@ pub struct FrameDecoder {
 }
 
 impl FrameDecoder {
-    /// Both views of a frame from one stereo device.
+    /// Decodes both views of a frame from one stereo device.
     ///
     /// # Errors
-    /// [`FrameFault`]; what `left` and `right` hold is then of no use.
+    /// [`FrameFault`]; the content of `left` and `right` is then undefined.
     pub fn stereo(
         &mut self,
         bytes: &[u8],
@@ -177,10 +177,10 @@ impl FrameDecoder {
         .map_err(FrameFault::Layout)
     }
 
-    /// The image of a device that has one view.
+    /// Decodes the image of a device with one view.
     ///
     /// # Errors
-    /// [`FrameFault`]; what `image` holds is then of no use.
+    /// [`FrameFault`]; the content of `image` is then undefined.
     pub fn single(&mut self, bytes: &[u8], shape: FrameShape, image: &mut Gray) -> Result<(), FrameFault> {
         luma(&mut self.jpeg, bytes, shape, image)
     }
@@ -202,7 +202,7 @@ fn luma(jpeg: &mut JpegDecoder, bytes: &[u8], shape: FrameShape, image: &mut Gra
         if row_bytes == width {
             image.pixels.extend_from_slice(row);
         } else {
-            // Luma is the first of each two bytes.
+            // Luma is the first byte of each pair.
             image.pixels.extend(row.chunks_exact(2).map(|pixel| pixel[0]));
         }
     }
@@ -210,7 +210,7 @@ fn luma(jpeg: &mut JpegDecoder, bytes: &[u8], shape: FrameShape, image: &mut Gra
     Ok(())
 }
 
-/// Cuts padding off after the end of a JPEG image, so that the buffer holds the file as the camera made it.
+/// Removes padding after the end of a JPEG image, so that the buffer holds the file as the camera made it.
 pub(crate) fn trim_jpeg(mut bytes: Vec<u8>) -> Vec<u8> {
     if let Ok(jpeg) = trimmed(&bytes) {
         let length = jpeg.len();

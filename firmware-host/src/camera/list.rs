@@ -1,4 +1,4 @@
-//! What is connected, and which device a name means.
+//! Lists the connected video nodes and finds the device of a name.
 
 use super::CaptureError;
 use super::config::setting;
@@ -9,30 +9,30 @@ const SERIAL: &str = "serial:";
 const CLASS: &str = "/sys/class/video4linux";
 const NODES: &str = "/dev";
 
-/// What a video node gives.
+/// Kind of a video node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum NodeKind {
-    /// Frames, in one plane: it can be used.
+    /// Frames in one plane; usable.
     Capture,
-    /// Frames in several planes, as camera interfaces of boards give them; it cannot be used.
+    /// Frames in several planes, as from camera interfaces of boards; not usable.
     Multiplanar,
-    /// Metadata of a camera's frames. The frames are in another node of the same camera.
+    /// Metadata of frames. The frames come from another node of the same camera.
     Metadata,
     /// An output, a codec or a radio.
     Other,
-    /// It could not be opened.
+    /// The node could not be opened.
     Unknown,
 }
 
-/// A video node of this computer.
+/// Video node of this computer.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct CameraInfo {
     /// Device node, `/dev/video0`.
     pub path: PathBuf,
-    /// The driver's name for it.
+    /// Name from the driver.
     pub name: String,
-    /// What it gives.
+    /// Kind.
     pub kind: NodeKind,
     /// USB serial number.
     pub serial: Option<String>,
@@ -40,20 +40,20 @@ pub struct CameraInfo {
     pub vendor_id: Option<String>,
     /// USB product, four hexadecimal digits.
     pub product_id: Option<String>,
-    /// USB manufacturer in words.
+    /// USB manufacturer name.
     pub manufacturer: Option<String>,
-    /// USB product in words.
+    /// USB product name.
     pub product: Option<String>,
-    /// The node's number among those of one camera; frames are usually in 0.
+    /// Index among the nodes of one camera; frames are usually in 0.
     pub index: u32,
-    /// Where it is connected: its device in `/sys/devices`. A camera at the same USB port has the same one.
+    /// Connection: the device in `/sys/devices`. It is the same for every camera at the same USB port.
     pub port: Option<PathBuf>,
-    /// Why it cannot be opened.
+    /// Reason why it cannot be opened.
     pub problem: Option<String>,
 }
 
 impl CameraInfo {
-    /// A node of which only the path is known.
+    /// A node with only its path known.
     fn bare(path: PathBuf) -> Self {
         Self {
             path,
@@ -70,8 +70,7 @@ impl CameraInfo {
         }
     }
 
-    /// Whether it is the same camera, as far as that can be told: of the same make and with the same serial
-    /// number.
+    /// Whether it is the same camera as far as can be determined: same make and same serial number.
     fn is_same(&self, other: &Self) -> bool {
         let identity = |info: &Self| {
             (info.serial.clone(), info.vendor_id.clone(), info.product_id.clone(), info.name.clone())
@@ -79,7 +78,7 @@ impl CameraInfo {
         identity(self) == identity(other)
     }
 
-    /// Whether frames can be read from it, as far as that is known.
+    /// Whether frames can be read from it, as far as known.
     #[must_use]
     pub fn gives_frames(&self) -> bool {
         self.kind == NodeKind::Capture || (self.kind == NodeKind::Unknown && self.index == 0)
@@ -107,7 +106,7 @@ impl std::fmt::Display for CameraInfo {
     }
 }
 
-/// Lists this computer's video nodes by their numbers. Each is opened for a moment to learn its kind.
+/// Lists this computer's video nodes by number. Each is opened briefly to determine its kind.
 ///
 /// # Errors
 /// [`CaptureError::Unsupported`].
@@ -121,7 +120,7 @@ pub fn list() -> Result<Vec<CameraInfo>, CaptureError> {
     Ok(cameras)
 }
 
-/// The camera that a name means. Of all nodes only those with the right serial number are opened: opening
+/// Finds the camera of a name. Only nodes with a matching serial number are opened, because opening
 /// wakes a camera.
 #[cfg(target_os = "linux")]
 pub(super) fn find(name: &str) -> Result<CameraInfo, CaptureError> {
@@ -132,7 +131,7 @@ pub(super) fn find(name: &str) -> Result<CameraInfo, CaptureError> {
     select(name, &cameras)
 }
 
-/// The camera that was opened before by this name.
+/// Finds the camera that was opened earlier by this name.
 #[cfg(target_os = "linux")]
 pub(super) fn find_again(name: &str, before: &CameraInfo) -> Result<CameraInfo, CaptureError> {
     if name.starts_with(SERIAL) {
@@ -141,7 +140,7 @@ pub(super) fn find_again(name: &str, before: &CameraInfo) -> Result<CameraInfo, 
     select_again(name, before, &nodes(Path::new(CLASS), Path::new(NODES)))
 }
 
-/// Opens a node for a moment to learn its kind.
+/// Opens a node briefly to determine its kind.
 #[cfg(target_os = "linux")]
 fn inspect(camera: &mut CameraInfo) {
     match super::device::kind(&camera.path) {
@@ -150,7 +149,7 @@ fn inspect(camera: &mut CameraInfo) {
     }
 }
 
-/// Formats and sizes that a camera offers, in words; none where it cannot be asked.
+/// Formats and sizes of a camera in words; empty if it cannot be queried.
 #[must_use]
 pub fn offers(path: &Path) -> Vec<String> {
     #[cfg(target_os = "linux")]
@@ -162,9 +161,9 @@ pub fn offers(path: &Path) -> Vec<String> {
     Vec::new()
 }
 
-/// The nodes that the kernel lists, with the attributes of the USB device that each belongs to.
+/// Nodes listed by the kernel, with the attributes of their USB devices.
 fn nodes(class: &Path, dev: &Path) -> Vec<CameraInfo> {
-    // Without the folder there is no video driver, hence no camera.
+    // Without the folder there is no video driver and therefore no camera.
     let entries = std::fs::read_dir(class).into_iter().flatten().flatten();
     let mut cameras: Vec<_> = entries
         .filter(|entry| number(&entry.path()).is_some())
@@ -173,7 +172,7 @@ fn nodes(class: &Path, dev: &Path) -> Vec<CameraInfo> {
             let mut camera = CameraInfo::bare(dev.join(entry.file_name()));
             camera.name = attribute(&node, "name").unwrap_or_default();
             camera.index = attribute(&node, "index").and_then(|text| text.parse().ok()).unwrap_or(0);
-            // `device` is the USB interface, whose parent is the USB device.
+            // `device` is the USB interface; its parent is the USB device.
             camera.port = node.join("device").canonicalize().ok();
             let folders = camera.port.iter().flat_map(|device| device.ancestors());
             let usb = folders.map(Path::to_owned).find(|folder| folder.join("idVendor").exists());
@@ -197,12 +196,12 @@ fn attribute(folder: &Path, name: &str) -> Option<String> {
     (!text.is_empty()).then(|| text.to_owned())
 }
 
-/// 12 of `/dev/video12`.
+/// Number of a node: 12 for `/dev/video12`.
 fn number(path: &Path) -> Option<u32> {
     path.file_name()?.to_str()?.strip_prefix("video")?.parse().ok()
 }
 
-/// Refuses what is no name of a device.
+/// Rejects an invalid device name.
 pub(super) fn check_name(setting_name: &'static str, name: &str) -> Result<(), CaptureError> {
     let serial = name.strip_prefix(SERIAL);
     if serial.is_some_and(|serial| !serial.is_empty()) || name.starts_with('/') {
@@ -212,11 +211,11 @@ pub(super) fn check_name(setting_name: &'static str, name: &str) -> Result<(), C
     Err(setting(setting_name, format!("\"{name}\""), valid))
 }
 
-/// The camera that a name means. A path may be a link to the node.
+/// Finds the camera of a name. A path may be a link to the node.
 ///
 /// # Errors
-/// [`CaptureError::Setting`], [`CaptureError::NotFound`] and [`CaptureError::Ambiguous`], which list what is
-/// there.
+/// [`CaptureError::Setting`], [`CaptureError::NotFound`] and [`CaptureError::Ambiguous`], which list the
+/// cameras present.
 pub fn select(name: &str, cameras: &[CameraInfo]) -> Result<CameraInfo, CaptureError> {
     check_name("device", name)?;
     let present = || cameras.iter().filter(|camera| camera.gives_frames()).cloned().collect();
@@ -238,8 +237,8 @@ pub fn select(name: &str, cameras: &[CameraInfo]) -> Result<CameraInfo, CaptureE
     }
 }
 
-/// The camera that was found before by this path. Its node may have another number now, if it came back before
-/// the old one was closed: then it is the same camera at the same port.
+/// Finds the camera that was found earlier by this path. Its node has another number if it was
+/// reconnected before the old node was closed; then the same camera at the same port is used.
 #[cfg(target_os = "linux")]
 fn select_again(name: &str, before: &CameraInfo, cameras: &[CameraInfo]) -> Result<CameraInfo, CaptureError> {
     let at_path = select(name, cameras);
@@ -264,7 +263,7 @@ mod tests {
     use super::*;
     use std::fs;
 
-    /// A camera with the nodes that uvcvideo makes: frames, then metadata.
+    /// Adds a camera with the nodes created by uvcvideo: frames, then metadata.
     fn plug(root: &Path, port: &str, serial: &str, first: u32) {
         let usb = root.join("devices/usb1").join(port);
         let interface = usb.join(format!("{port}:1.0"));
@@ -298,7 +297,7 @@ mod tests {
         let second = select("serial:GS0002", &cameras).unwrap();
         assert_eq!(second.path, root.join("dev/video9"));
         assert_eq!((second.vendor_id.as_deref(), second.product.as_deref()), (Some("2560"), Some("Tara")));
-        // By a link, as udev makes them.
+        // Find by a link such as udev creates.
         fs::create_dir_all(root.join("dev")).unwrap();
         fs::write(root.join("dev/video9"), "").unwrap();
         std::os::unix::fs::symlink(root.join("dev/video9"), root.join("link")).unwrap();
@@ -338,7 +337,7 @@ mod tests {
         let (name, before) = (node(0).to_str().unwrap().to_owned(), listed(root).remove(0));
         let again = || select_again(&name, &before, &listed(root));
         assert_eq!(again().unwrap(), before);
-        // It came back with another number.
+        // Reconnect with another number.
         let unplug = |first: u32| {
             for number in first..first + 2 {
                 fs::remove_dir_all(root.join(format!("class/video{number}"))).unwrap();
@@ -349,7 +348,7 @@ mod tests {
         assert!(matches!(again(), Err(CaptureError::NotFound { .. })));
         plug(root, "1-1", "GS0001", 4);
         assert_eq!(again().unwrap().path, node(4));
-        // Another camera took its port, and then its number.
+        // Another camera takes its port, then its number.
         unplug(4);
         plug(root, "1-1", "GS0009", 4);
         assert!(matches!(again(), Err(CaptureError::NotFound { .. })));

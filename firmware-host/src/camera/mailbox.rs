@@ -1,4 +1,4 @@
-//! What the devices' threads hand to the reader: bounded, in order, and with every loss counted.
+//! Queue from device threads to the reader: bounded, in order, with every loss counted.
 
 use super::FrameShape;
 use crate::source::SourceEvent;
@@ -6,41 +6,41 @@ use std::collections::VecDeque;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
-/// Events that wait for a reader; a camera that fails for hours while nobody reads fills no memory.
+/// Largest number of waiting events. It bounds memory if a camera fails for hours without a reader.
 const MAX_EVENTS: usize = 256;
-/// Spare buffers kept.
+/// Largest number of spare buffers.
 const MAX_SPARES: usize = 64;
 
-/// Which device.
+/// Device of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Side {
-    /// The stereo device, or that of the left view.
+    /// The stereo device, or the device of the left view.
     Left,
-    /// That of the right view.
+    /// The device of the right view.
     Right,
 }
 
-/// A frame as the driver gave it.
+/// A frame from the driver.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct RawFrame {
-    /// What its bytes mean.
+    /// Shape of the data.
     pub shape: FrameShape,
-    /// The driver's number, extended to 64 bits.
+    /// Frame number of the driver, extended to 64 bits.
     pub sequence: u64,
-    /// Its moment on `CLOCK_MONOTONIC`.
+    /// Time on `CLOCK_MONOTONIC`.
     pub time_ns: u64,
-    /// Frames lost since the one before.
+    /// Frames lost since the previous one.
     pub dropped: u64,
-    /// Its bytes.
+    /// Frame data.
     pub bytes: Vec<u8>,
 }
 
-/// What a device's thread says.
+/// Message of a device thread.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Message {
     /// A frame.
     Frame(RawFrame),
-    /// Something else.
+    /// An event.
     Event(SourceEvent),
     /// The thread ended.
     Ended,
@@ -53,7 +53,7 @@ struct Content {
     lost_events: u64,
 }
 
-/// Between the devices' threads and one reader.
+/// Queue between the device threads and one reader.
 #[derive(Debug)]
 pub(crate) struct Mailbox {
     content: Mutex<Content>,
@@ -62,18 +62,18 @@ pub(crate) struct Mailbox {
 }
 
 impl Mailbox {
-    /// With room for so many frames of each device.
+    /// Queue for up to `max_frames` frames of each device.
     pub fn new(max_frames: usize) -> Self {
         Self { content: Mutex::default(), arrival: Condvar::new(), max_frames }
     }
 
     fn lock(&self) -> MutexGuard<'_, Content> {
-        // A thread that panicked in here left whole messages behind.
+        // A panic while the lock was held leaves only complete messages.
         self.content.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Hands over a message. Where there is no more room the oldest of its kind makes way: a frame is counted
-    /// as dropped by the one after it, an event in [`Self::lost_events`].
+    /// Adds a message. If the queue is full, the oldest of its kind is dropped. A dropped frame is
+    /// counted in the next one, a dropped event in [`Self::lost_events`].
     pub fn put(&self, side: Side, message: Message) {
         let mut content = self.lock();
         let is_frame = matches!(message, Message::Frame(_));
@@ -105,12 +105,12 @@ impl Mailbox {
         self.arrival.notify_all();
     }
 
-    /// The oldest message.
+    /// Takes the oldest message.
     pub fn take(&self) -> Option<(Side, Message)> {
         self.lock().messages.pop_front()
     }
 
-    /// Waits for a message; `false` when there is none by then.
+    /// Waits for a message; `false` if none came by the deadline.
     pub fn wait_until(&self, deadline: Option<Instant>) -> bool {
         let mut content = self.lock();
         while content.messages.is_empty() {
@@ -130,12 +130,12 @@ impl Mailbox {
         true
     }
 
-    /// A buffer for the next frame, used before where there is one.
+    /// Buffer for the next frame, reused if available.
     pub fn spare(&self) -> Vec<u8> {
         self.lock().spares.pop().unwrap_or_default()
     }
 
-    /// Gives a buffer back.
+    /// Returns a buffer for reuse.
     pub fn give_back(&self, bytes: Vec<u8>) {
         Self::keep(&mut self.lock(), bytes);
     }
@@ -147,7 +147,7 @@ impl Mailbox {
         }
     }
 
-    /// Events that made way for later ones.
+    /// Number of dropped events.
     pub fn lost_events(&self) -> u64 {
         self.lock().lost_events
     }
@@ -166,7 +166,8 @@ mod tests {
     }
 
     proptest! {
-        /// Frames come out in order, at most so many wait, and each is either handed over or counted.
+        /// Frames stay in order, at most `max_frames` wait, and each is either delivered or counted as
+        /// dropped.
         #[test]
         fn every_frame_is_handed_over_or_counted(
             max_frames in 1usize..6, steps in prop::collection::vec((any::<bool>(), any::<bool>()), 1..200)

@@ -1,11 +1,11 @@
-//! Cameras by Video4Linux2: capture, decoding to luma, controls.
+//! Cameras through Video4Linux2: capture, decoding to luma, controls.
 //!
-//! A camera is used by [`crate::source::CameraSource`], which gives stereo pairs. Here stand its parts:
-//! [`list`] names what is connected, [`CameraConfig`] says what is wanted, and each device has a thread that
-//! keeps it streaming. Everything that makes system calls is compiled for Linux only; elsewhere opening a
-//! camera is a typed error.
+//! [`crate::source::CameraSource`] combines these parts into a source of stereo pairs. [`list`] names
+//! the connected devices, [`CameraConfig`] holds the settings, and each device has a thread that keeps
+//! it streaming. Code with system calls is compiled for Linux only; elsewhere opening a camera returns a
+//! typed error.
 
-// Elsewhere nothing can be opened, so that most of it is never called.
+// Elsewhere no camera can be opened, so most of the code is unused.
 #![cfg_attr(not(target_os = "linux"), allow(dead_code, unused_mut))]
 
 mod backoff;

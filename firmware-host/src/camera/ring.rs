@@ -1,5 +1,5 @@
-//! The driver's buffers in our memory: each is queued again as soon as its bytes are copied, so that the
-//! driver always has all of them but one to fill.
+//! The driver's buffers mapped into memory. Each is queued again as soon as its bytes are copied, so
+//! that the driver can fill all but one at any time.
 
 use super::CaptureError;
 use super::abi::{self, BUF_TYPE_VIDEO_CAPTURE, Buffer, MEMORY_MMAP, Plain, RequestBuffers};
@@ -8,20 +8,20 @@ use std::io;
 use std::os::fd::{AsFd, AsRawFd, BorrowedFd};
 use std::ptr::NonNull;
 
-/// One of the driver's buffers, mapped.
+/// One mapped buffer of the driver.
 #[derive(Debug)]
 struct Mapping {
     start: NonNull<u8>,
     length: usize,
 }
 
-// SAFETY: the mapping belongs to the process, not to a thread, and is reached through `&mut Ring` only.
+// SAFETY: the mapping belongs to the process, not to a thread, and is accessed through `&mut Ring` only.
 unsafe impl Send for Mapping {}
 
 impl Mapping {
     fn new(device: BorrowedFd<'_>, offset: u32, length: usize) -> io::Result<Self> {
-        // SAFETY: a new shared mapping of the device at the offset that its driver gave for this buffer; the
-        // kernel chooses the address and checks offset and length.
+        // SAFETY: a new shared mapping of the device at the offset given by its driver for this buffer.
+        // The kernel chooses the address and checks offset and length.
         let start = unsafe {
             libc::mmap(
                 std::ptr::null_mut(),
@@ -41,14 +41,15 @@ impl Mapping {
         }
     }
 
-    /// Copies the first `length` bytes. The buffer must be dequeued: the driver does not write to it then.
+    /// Copies the first `length` bytes. The buffer must be dequeued, so that the driver does not write
+    /// to it.
     fn copy_to(&self, length: usize, bytes: &mut Vec<u8>) {
         bytes.clear();
         let length = length.min(self.length);
         bytes.reserve(length);
-        // SAFETY: the mapping holds at least `length` bytes, lives until `drop`, and the driver does not
-        // write to a buffer that is dequeued. `bytes` has room for `length` bytes elsewhere, all of which are
-        // written.
+        // SAFETY: the mapping holds at least `length` bytes and lives until `drop`. The driver does not
+        // write to a dequeued buffer. `bytes` has a separate capacity of `length` bytes, all of which
+        // are written.
         unsafe {
             std::ptr::copy_nonoverlapping(self.start.as_ptr(), bytes.as_mut_ptr(), length);
             bytes.set_len(length);
@@ -58,26 +59,26 @@ impl Mapping {
 
 impl Drop for Mapping {
     fn drop(&mut self) {
-        // SAFETY: the mapping is ours, and nothing borrows from it.
+        // SAFETY: the mapping is owned by this value and nothing borrows from it.
         unsafe { libc::munmap(self.start.as_ptr().cast(), self.length) };
     }
 }
 
-/// A frame as it was dequeued.
+/// A dequeued frame.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Dequeued {
-    /// The driver's number.
+    /// Frame number of the driver.
     pub number: u32,
-    /// The driver's timestamp, if its flags say that it is of `CLOCK_MONOTONIC`.
+    /// The driver's timestamp, if its flags state `CLOCK_MONOTONIC`.
     pub driver_ns: Option<u64>,
-    /// Whether the driver marks the frame as damaged.
+    /// Whether the driver marks the frame as corrupt.
     pub damaged: bool,
 }
 
-/// The buffers of a streaming device. Dropping it stops the stream.
+/// Buffers of a streaming device. Dropping the ring stops the stream.
 #[derive(Debug)]
 pub(super) struct Ring {
-    // Unmapped before the device is closed.
+    // Declared first, so that it is unmapped before the device is closed.
     mappings: Vec<Mapping>,
     device: Device,
 }
@@ -93,7 +94,7 @@ impl Ring {
         };
         device.must(&abi::REQBUFS, &mut request)?;
         let mut ring = Self { mappings: Vec::new(), device };
-        // The driver may give fewer buffers than asked for, or more.
+        // The driver may allocate fewer or more buffers than requested.
         for index in 0..request.count {
             let mut buffer = buffer(index);
             ring.device.must(&abi::QUERYBUF, &mut buffer)?;
@@ -113,12 +114,12 @@ impl Ring {
         Ok(ring)
     }
 
-    /// The device behind it.
+    /// The streaming device.
     pub fn device(&self) -> &Device {
         &self.device
     }
 
-    /// Copies the oldest filled buffer to `bytes` and queues it again; `None` when no buffer is filled.
+    /// Copies the oldest filled buffer to `bytes` and queues it again; `None` if no buffer is filled.
     pub fn dequeue(&mut self, bytes: &mut Vec<u8>) -> Result<Option<Dequeued>, CaptureError> {
         let mut filled = buffer(0);
         match self.device.call(&abi::DQBUF, &mut filled) {
@@ -144,7 +145,7 @@ impl Ring {
 
 impl Drop for Ring {
     fn drop(&mut self) {
-        // A device that is gone cannot be stopped; closing it is enough.
+        // STREAMOFF fails on a disconnected device; closing it is enough.
         let _ = self.device.call(&abi::STREAMOFF, &mut { BUF_TYPE_VIDEO_CAPTURE });
     }
 }
@@ -153,7 +154,7 @@ fn buffer(index: u32) -> Buffer {
     Buffer { index, buf_type: BUF_TYPE_VIDEO_CAPTURE, memory: MEMORY_MMAP, ..Buffer::zeroed() }
 }
 
-/// A time before 0, which no such clock has, becomes one that the timestamp's check refuses.
+/// A negative time, impossible on this clock, wraps to a value that the timestamp check rejects.
 fn nanoseconds(time: libc::timeval) -> u64 {
     (time.tv_sec as u64).wrapping_mul(1_000_000_000).wrapping_add((time.tv_usec as u64).wrapping_mul(1000))
 }

@@ -1,33 +1,33 @@
-//! The driver's frame numbers: which frames were lost, and which numbers cannot be.
+//! Checks the driver's frame numbers for lost frames and impossible numbers.
 
-/// Frames may come this many periods closer together than the nominal rate says before their numbers are
-/// doubted: drivers hand over several frames at once after a delay, with timestamps that bunch up.
+/// Number of periods by which frames may arrive early before their numbers are doubted. After a delay,
+/// drivers deliver several frames at once with closely spaced timestamps.
 const ALLOWANCE: u64 = 16;
 
-/// What a frame's number says.
+/// Result for one frame number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Step {
-    /// The number, extended to 64 bits: it goes on counting where the driver's 32 bits start again.
+    /// The number extended to 64 bits: it continues where the driver's 32 bits wrap around.
     pub sequence: u64,
-    /// What came of the comparison with the frame before.
+    /// Number of lost frames, or the expected number if this one is impossible.
     pub outcome: Result<u64, u64>,
 }
 
 impl Step {
-    /// Frames that were lost since the frame before. Unknown, and 0, where the number cannot be.
+    /// Frames lost since the previous one; unknown and 0 if the number is impossible.
     #[must_use]
     pub fn lost(&self) -> u64 {
         self.outcome.unwrap_or(0)
     }
 
-    /// The number that was expected, where this one goes back or jumps too far.
+    /// The expected number, if this one goes back or jumps too far.
     #[must_use]
     pub fn expected(&self) -> Option<u64> {
         self.outcome.err()
     }
 }
 
-/// Follows the numbers of one stream. A stream that starts again needs a new one.
+/// Checks the numbers of one stream. A restarted stream needs a new check.
 #[derive(Clone, Copy, Debug)]
 pub struct SequenceCheck {
     period_ns: f64,
@@ -41,17 +41,17 @@ struct Last {
 }
 
 impl SequenceCheck {
-    /// For a camera of this frame rate.
+    /// Check for a camera with this frame rate.
     #[must_use]
     pub fn new(frame_rate_hz: f64) -> Self {
         Self { period_ns: 1e9 / frame_rate_hz, last: None }
     }
 
-    /// Takes the next frame's number and its moment, which never goes back.
+    /// Processes the next frame's number and its time, which must not decrease.
     ///
-    /// A gap is loss as long as so many frames can have been taken since the frame before, at twice the
-    /// nominal rate with an allowance of 16 frames. Any other number is an error: the stream then goes on
-    /// from that number.
+    /// A gap counts as loss if that many frames are possible since the previous frame, at twice the
+    /// nominal rate plus an allowance of 16 frames. Any other number is an error, and the stream
+    /// continues from it.
     pub fn step(&mut self, number: u32, time_ns: u64) -> Step {
         let Some(last) = self.last else {
             let sequence = u64::from(number);
@@ -61,7 +61,7 @@ impl SequenceCheck {
         let expected = last.sequence + 1;
         let ahead = number.wrapping_sub(expected as u32);
         let periods = time_ns.saturating_sub(last.time_ns) as f64 / self.period_ns;
-        // A float that is too large becomes the largest integer.
+        // A float that is too large saturates at the largest integer.
         let max_lost = ((2.0 * periods) as u64).saturating_add(ALLOWANCE);
         let (sequence, outcome) = if u64::from(ahead) <= max_lost && ahead < 1 << 31 {
             (expected + u64::from(ahead), Ok(u64::from(ahead)))
@@ -81,7 +81,7 @@ mod tests {
     const PERIOD_NS: u64 = 33_333_333;
 
     proptest! {
-        /// Whatever is lost, and wherever the driver's 32 bits start again, every loss is counted exactly.
+        /// Every loss is counted exactly, also across the wrap of the driver's 32 bits.
         #[test]
         fn gaps_are_counted_over_the_wrap(
             start in any::<u32>(), lost in prop::collection::vec(0u32..200, 1..50)
@@ -99,8 +99,8 @@ mod tests {
             }
         }
 
-        /// A number that goes back, stays, or jumps farther than time allows is an error, and the next one
-        /// counts on.
+        /// A number that goes back, repeats, or jumps farther than the elapsed time allows is an error;
+        /// counting continues from it.
         #[test]
         fn impossible_numbers_are_errors(
             start in 1000u32..1 << 30, jump in prop_oneof![-999i64..=0, 20i64..1 << 29]

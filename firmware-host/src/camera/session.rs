@@ -1,4 +1,4 @@
-//! One connection to a device: from its opening to its first fault.
+//! One connection to a device, from opening to its first fault.
 
 use super::abi;
 use super::control_calls;
@@ -9,16 +9,16 @@ use super::{CameraConfig, CameraInfo, CaptureError, Control, ControlSettings, Fr
 use std::os::fd::{AsFd, BorrowedFd};
 use std::time::Duration;
 
-/// What to open, and how.
+/// Device to open and its settings.
 #[derive(Clone, Debug)]
 pub(super) struct Wanted {
-    /// As the configuration names it.
+    /// Device name in the configuration.
     pub device: String,
     /// Format, size, rate and buffers.
     pub config: CameraConfig,
-    /// Controls, with all that was set since.
+    /// Controls, including changes made since the start.
     pub controls: ControlSettings,
-    /// The camera that was opened first: no other one may take its place.
+    /// The camera that was opened first; no other camera may replace it.
     pub before: Option<CameraInfo>,
 }
 
@@ -26,20 +26,20 @@ pub(super) struct Wanted {
 #[derive(Debug)]
 pub(super) struct Session {
     ring: Ring,
-    /// What it is.
+    /// Description of the camera.
     pub info: CameraInfo,
     /// Shape of its frames.
     pub shape: FrameShape,
 }
 
-/// What came of waiting for a frame.
+/// Result of waiting for a frame.
 #[derive(Debug)]
 pub(super) enum Wait {
-    /// A frame can be fetched.
+    /// A frame is ready.
     Frame,
-    /// Somebody wants something of the thread.
+    /// The thread has commands to process.
     Woken,
-    /// Neither.
+    /// Timeout.
     Nothing,
 }
 
@@ -60,8 +60,8 @@ impl Session {
 
     /// Waits for a frame or for `wake`.
     ///
-    /// A faulty device answers at once and for ever, so that a fault without an error of the queue is an
-    /// error too.
+    /// `poll` keeps returning at once for a faulty device. A fault without an error of the queue is
+    /// therefore also returned as an error.
     pub fn wait(&mut self, wake: BorrowedFd<'_>, timeout: Duration) -> Result<Wait, CaptureError> {
         let device = self.ring.device();
         let ready =
@@ -70,7 +70,7 @@ impl Session {
             return Ok(Wait::Woken);
         }
         if let Some(name) = ready.fault {
-            // The queue's own error says more.
+            // The error of the queue is more specific.
             return match self.ring.dequeue(&mut Vec::new()) {
                 Err(error) => Err(error),
                 Ok(_) => Err(self.ring.device().failed("poll", std::io::Error::other(name))),
@@ -79,7 +79,7 @@ impl Session {
         Ok(if ready.frame { Wait::Frame } else { Wait::Nothing })
     }
 
-    /// Copies the oldest frame, if there is one.
+    /// Copies the oldest frame, if any.
     pub fn fetch(&mut self, bytes: &mut Vec<u8>) -> Result<Option<Dequeued>, CaptureError> {
         self.ring.dequeue(bytes)
     }

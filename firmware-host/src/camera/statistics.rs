@@ -1,43 +1,43 @@
-//! What a camera really does: rate, latency, losses.
+//! Measured performance of a camera: rate, latency, losses.
 
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
-/// Pairs that rate and latency are measured over: half a minute at 30 Hz.
+/// Number of pairs for rate and latency: half a minute at 30 Hz.
 const WINDOW: usize = 1024;
 
-/// What a camera really does. Counts are since it was opened, rate and latency of the last 1024 pairs.
+/// Measured performance of a camera. Counts start at opening; rate and latency cover the last 1024 pairs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct CameraStatistics {
-    /// Pairs handed over.
+    /// Pairs delivered.
     pub pairs: u64,
-    /// Pairs lost or passed over.
+    /// Pairs lost or skipped.
     pub dropped: u64,
-    /// Frames that could not be used.
+    /// Unusable frames.
     pub corrupt: u64,
-    /// Images without a partner near enough in time.
+    /// Images without a partner close enough in time.
     pub skewed: u64,
-    /// Sequence numbers that cannot be.
+    /// Impossible sequence numbers.
     pub sequence_faults: u64,
-    /// Timestamps that cannot be.
+    /// Invalid timestamps.
     pub timestamp_faults: u64,
     /// Times that a device sent nothing for too long.
     pub stalls: u64,
-    /// Times that a device went away, or could not be opened again.
+    /// Times that a device was disconnected or could not be reopened.
     pub disconnects: u64,
-    /// Times that a device was opened, the first one included.
+    /// Times that a device was opened, including the first.
     pub connects: u64,
-    /// Events that nobody fetched.
+    /// Events dropped before they were fetched.
     pub lost_events: u64,
-    /// Pairs handed over in a second, by the driver's timestamps; absent before the second pair.
+    /// Pairs delivered per second, by the driver's timestamps; `None` before the second pair.
     pub rate_hz: Option<f64>,
-    /// Pairs that the camera took in a second, lost ones included.
+    /// Pairs captured per second, including lost ones.
     pub camera_rate_hz: Option<f64>,
-    /// Time from the driver's timestamp to the decoded pair: half of the pairs take at most so long.
+    /// Median time from the driver's timestamp to the decoded pair.
     pub latency_p50_ms: Option<f64>,
-    /// 99 % of the pairs take at most so long.
+    /// 99th percentile of this time.
     pub latency_p99_ms: Option<f64>,
-    /// The longest.
+    /// Maximum of this time.
     pub latency_max_ms: Option<f64>,
 }
 
@@ -51,13 +51,13 @@ struct Sample {
 /// Collects [`CameraStatistics`].
 #[derive(Clone, Debug, Default)]
 pub struct Statistics {
-    /// The counts; rate and latency are filled in by [`Self::summary`].
+    /// Counts; [`Self::summary`] adds rate and latency.
     pub counts: CameraStatistics,
     samples: VecDeque<Sample>,
 }
 
 impl Statistics {
-    /// Takes a pair: the driver's timestamp, when it was decoded, and pairs lost before it.
+    /// Adds a pair: the driver's timestamp, the time of decoding, and the number of pairs lost before it.
     pub fn pair(&mut self, driver_ns: u64, decoded_ns: u64, dropped: u64) {
         self.counts.pairs += 1;
         self.counts.dropped += dropped;
@@ -71,7 +71,7 @@ impl Statistics {
         });
     }
 
-    /// The pairs to come have nothing to do with those before: the camera was opened again.
+    /// Discards the samples when the camera was reopened: earlier timestamps are unrelated to later ones.
     pub fn restart(&mut self) {
         self.samples.clear();
     }
@@ -98,7 +98,7 @@ impl Statistics {
     }
 }
 
-/// The smallest of the sorted values that so many percent do not exceed.
+/// Nearest-rank percentile of sorted values.
 fn percentile_ms(sorted_ns: &[u64], percent: usize) -> Option<f64> {
     let rank = (sorted_ns.len() * percent).div_ceil(100);
     sorted_ns.get(rank.saturating_sub(1)).map(|&ns| ns as f64 * 1e-6)
@@ -113,7 +113,7 @@ mod tests {
     fn rate_and_latency_are_those_of_the_pairs() {
         let mut statistics = Statistics::default();
         assert_eq!(statistics.summary(), CameraStatistics::default());
-        // 101 pairs at 25 Hz of a camera that takes 50 Hz; latencies 1 to 101 ms.
+        // 101 pairs at 25 Hz of a camera that captures at 50 Hz; latencies 1 to 101 ms.
         for n in 0..101u64 {
             let driver_ns = n * 40_000_000;
             statistics.pair(driver_ns, driver_ns + (n + 1) * 1_000_000, u64::from(n > 0));

@@ -1,11 +1,11 @@
-//! In place of a device's thread where there is no Video4Linux2: nothing can be opened.
+//! Replaces the device thread on systems without Video4Linux2: nothing can be opened.
 
 use super::{CameraConfig, CameraInfo, CaptureError, Control, ControlSettings, Mailbox, Side};
 use std::sync::Arc;
 
 #[derive(Debug)]
 pub(crate) struct CameraHandle {
-    /// What was opened at the start.
+    /// Description of the device at opening.
     pub info: CameraInfo,
     never: std::convert::Infallible,
 }

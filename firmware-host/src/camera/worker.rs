@@ -1,7 +1,7 @@
-//! A device's thread: it keeps the device streaming and hands frames and events to the mailbox.
+//! Device thread: keeps the device streaming and passes frames and events to the mailbox.
 //!
-//! Drivers may take seconds to answer: a control transfer over USB has up to five. Only this thread waits for
-//! them, so that the reader never does.
+//! A driver may take seconds to reply: a control transfer over USB may take up to five. Only this thread
+//! waits for it, so the reader never does.
 
 use super::abi;
 use super::session::{Session, Wait, Wanted};
@@ -17,13 +17,13 @@ use std::sync::Arc;
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender, SyncSender};
 use std::time::{Duration, Instant};
 
-/// Opening takes several control transfers, each of which has up to five seconds.
+/// Opening takes several control transfers of up to five seconds each.
 const OPEN_TIMEOUT: Duration = Duration::from_secs(20);
 /// One control takes a write and a read.
 const CONTROL_TIMEOUT: Duration = Duration::from_secs(12);
-/// A stream that is stopped in a driver that does not answer is left behind after this time.
+/// Wait for the thread to end; a stream stuck in a driver that does not reply is then abandoned.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(3);
-/// Frames are looked for at least this often; also the pace at which silence is measured.
+/// Longest interval between polls; also the resolution at which silence is measured.
 const TICK: Duration = Duration::from_millis(100);
 
 type Reply<T> = SyncSender<Result<T, CaptureError>>;
@@ -33,13 +33,13 @@ enum Command {
     Set(ControlSettings, Reply<()>),
 }
 
-/// The reader's end of a device's thread. Dropping it closes the device.
+/// Reader's handle to a device thread. Dropping it closes the device.
 #[derive(Debug)]
 pub(crate) struct CameraHandle {
-    /// What was opened at the start.
+    /// Description of the device at opening.
     pub info: CameraInfo,
     commands: Sender<Command>,
-    /// Closed to end the thread; written to for it to look at its commands.
+    /// Closed to end the thread; written to when a command is waiting.
     wake: Option<UnixStream>,
     /// Its sender is dropped when the thread ends.
     ended: Receiver<()>,
@@ -89,7 +89,7 @@ impl CameraHandle {
         self.ask(Command::Controls)
     }
 
-    /// Sets controls, now and whenever the device is opened again.
+    /// Sets controls now and whenever the device is reopened.
     pub fn set(&self, settings: ControlSettings) -> Result<(), CaptureError> {
         self.ask(|reply| Command::Set(settings, reply))
     }
@@ -122,14 +122,14 @@ fn receive<T>(
 impl Drop for CameraHandle {
     fn drop(&mut self) {
         self.wake = None;
-        // The device is free again once the thread has ended.
+        // The device is free once the thread has ended.
         let _ = self.ended.recv_timeout(CLOSE_TIMEOUT);
     }
 }
 
-/// Why a stream came to its end.
+/// Reason for the end of a stream.
 enum End {
-    /// Nobody reads any more.
+    /// The reader has closed the handle.
     Closed,
     Fault(CaptureError),
     Silent(Duration),
@@ -145,7 +145,7 @@ struct Worker {
     _ended: Sender<()>,
 }
 
-/// Says that the thread ended, however it did.
+/// Reports the end of the thread, also after a panic.
 struct LastWord(Side, Arc<Mailbox>);
 
 impl Drop for LastWord {
@@ -186,11 +186,11 @@ impl Worker {
         }
     }
 
-    /// Opens the device again, however long it takes; `None` when nobody reads any more.
+    /// Reopens the device, however long it takes; `None` if the reader has closed the handle.
     ///
-    /// The old session is closed after the first pause and not at once: uvcvideo of kernel 6.1 fails (a null
-    /// pointer in `media_device_unregister_entity`) when an unplugged camera is closed while its removal
-    /// still goes on.
+    /// The old session is closed after the first pause rather than at once: uvcvideo of kernel 6.1
+    /// crashes (null pointer in `media_device_unregister_entity`) if an unplugged camera is closed while
+    /// its removal is in progress.
     fn reconnect(&mut self, device: &str, old: Session, mut reason: Option<String>) -> Option<Session> {
         let mut old = Some(old);
         loop {
@@ -214,7 +214,7 @@ impl Worker {
         self.mailbox.put(self.side, Message::Event(event));
     }
 
-    /// Hands over frames until something ends it.
+    /// Passes on frames until the stream ends.
     fn stream(&mut self, session: &mut Session) -> End {
         let rate_hz = self.wanted.config.frame_rate_hz;
         let mut stream =
@@ -242,7 +242,7 @@ impl Worker {
         }
     }
 
-    /// Hands over the oldest frame; `false` when there is none.
+    /// Passes on the oldest frame; `false` if there is none.
     fn fetch(&mut self, session: &mut Session, stream: &mut Stream) -> Result<bool, CaptureError> {
         let mut bytes = self.mailbox.spare();
         let Some(frame) = session.fetch(&mut bytes)? else {
@@ -255,7 +255,7 @@ impl Worker {
             (false, true) => Some("it has no bytes"),
             (false, false) => None,
         };
-        // A damaged frame's timestamp says nothing.
+        // The timestamp of a corrupt frame is meaningless.
         let stamp = damaged.is_none().then(|| stream.clock.step(frame.driver_ns, read_ns));
         let time_ns = stamp.as_ref().map_or(read_ns, |stamp| stamp.time_ns);
         let step = stream.sequence.step(frame.number, time_ns);
@@ -279,7 +279,7 @@ impl Worker {
         Ok(true)
     }
 
-    /// Waits; `false` when nobody reads any more.
+    /// Waits; `false` if the reader has closed the handle.
     fn rest(&mut self, pause: Duration) -> bool {
         let begun = Instant::now();
         loop {
@@ -287,7 +287,7 @@ impl Worker {
             if left.is_zero() {
                 return true;
             }
-            // Rounded up, so that the last millisecond is not spent in calls.
+            // Rounded up, so that the last millisecond is not spent polling.
             match abi::poll(None, self.woken.as_fd(), left + Duration::from_millis(1)) {
                 Ok(ready) if ready.woken && !self.serve(None) => return false,
                 Ok(_) => {}
@@ -296,7 +296,7 @@ impl Worker {
         }
     }
 
-    /// Does what was asked for; `false` when nobody reads any more.
+    /// Processes commands; `false` if the reader has closed the handle.
     fn serve(&mut self, session: Option<&Session>) -> bool {
         let mut bytes = [0; 64];
         if matches!(self.woken.read(&mut bytes), Ok(0)) {
@@ -305,7 +305,7 @@ impl Worker {
         let gone = || CaptureError::Disconnected { device: self.wanted.device.clone() };
         let mut merged = None;
         while let Ok(command) = self.commands.try_recv() {
-            // Who asked may have stopped waiting.
+            // The caller may have stopped waiting.
             match command {
                 Command::Controls(reply) => {
                     let _ = reply.send(session.map(Session::controls).ok_or_else(gone));
@@ -326,10 +326,10 @@ impl Worker {
     }
 }
 
-/// What is followed from frame to frame of one stream.
+/// State kept from frame to frame of one stream.
 struct Stream {
     sequence: SequenceCheck,
     clock: TimestampCheck,
-    /// Frames lost since the last one that was handed over.
+    /// Frames lost since the last one passed on.
     lost: u64,
 }

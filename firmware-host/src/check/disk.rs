@@ -1,23 +1,23 @@
-//! Whether a recording fits: its folder, the free space, and how fast it grows.
+//! Checks whether a recording fits: folder, free space and data rate.
 
 use crate::config::{Config, ConfigError, SourceConfig};
 use crate::finding::Finding;
 use std::path::{Path, PathBuf};
 
-/// How fast a recording may grow, and how long the job is planned to take.
+/// Data rate of a recording and planned duration of the job.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RecordingNeed {
     /// Largest rate: both images uncompressed, in bytes per second.
     pub max_bytes_per_s: f64,
-    /// Time of the stages whose time the task determines, in seconds.
+    /// Duration of the stages whose time is set by the task, in seconds.
     pub planned_s: f64,
 }
 
-/// Results beside the images, bytes per pair: a point cloud of 625 markers and the rest.
+/// Results without images, bytes per pair: a point cloud of 625 markers and the rest.
 const RESULT_BYTES: f64 = 32e3;
 
 impl RecordingNeed {
-    /// Of a configuration.
+    /// Need of a configuration.
     ///
     /// # Errors
     /// [`ConfigError::RigSource`].
@@ -37,44 +37,44 @@ fn frame_rate_hz(config: &Config) -> f64 {
         SourceConfig::Simulated => config.simulated.frame_rate_hz,
         SourceConfig::Folder { frame_rate_hz, .. } => frame_rate_hz,
         SourceConfig::Camera(ref camera) => camera.frame_rate_hz,
-        // Without a stated rate the stream's own timestamps count; the simulated rate is as good a guess as any.
+        // Without a stated rate the stream's own timestamps apply; the simulated rate is a rough guess.
         SourceConfig::Stream(ref stream) => stream.frame_rate_hz.unwrap_or(config.simulated.frame_rate_hz),
     }
 }
 
-/// The folder that a recording stands in.
+/// Folder of a recording.
 #[must_use]
 pub fn folder_of(recording: &Path) -> &Path {
     recording.parent().filter(|f| !f.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
-/// The nearest folder above that exists: missing ones are made when the recording begins.
+/// The nearest existing parent folder: missing folders are created when the recording begins.
 #[must_use]
 pub fn existing(folder: &Path) -> PathBuf {
     let up = folder.ancestors().find(|f| f.exists() && !f.as_os_str().is_empty());
     up.unwrap_or(Path::new(".")).to_owned()
 }
 
-/// Bytes that may still be written to the folder's disk.
+/// Free bytes on the folder's disk.
 ///
 /// # Errors
-/// The system's answer.
+/// Error of the system.
 #[cfg(unix)]
 pub fn free_bytes(folder: &Path) -> std::io::Result<u64> {
     let disk = rustix::fs::statvfs(folder)?;
     Ok(disk.f_bavail.saturating_mul(disk.f_frsize))
 }
 
-/// Bytes that may still be written to the folder's disk.
+/// Free bytes on the folder's disk.
 ///
 /// # Errors
-/// Always: only Unix systems are asked.
+/// Always: only Unix systems are supported.
 #[cfg(not(unix))]
 pub fn free_bytes(_folder: &Path) -> std::io::Result<u64> {
     Err(std::io::ErrorKind::Unsupported.into())
 }
 
-/// Tries to write beside the recording, leaves nothing behind, and compares the free space with what is needed.
+/// Writes and removes a test file beside the recording, and compares the free space with the need.
 pub(super) fn examine(config: &Config) -> Finding {
     const SUBJECT: &str = "recording";
     let path = &config.recording.path;
@@ -93,7 +93,7 @@ pub(super) fn examine(config: &Config) -> Finding {
     fits(path, need, free as f64)
 }
 
-/// Whether the job's own time fits the disk, and how long the disk lasts.
+/// Whether the planned duration fits the disk, and how long the disk lasts.
 fn fits(path: &Path, need: RecordingNeed, free: f64) -> Finding {
     const SUBJECT: &str = "recording";
     let lasts_s = free / need.max_bytes_per_s;
@@ -111,7 +111,7 @@ fn fits(path: &Path, need: RecordingNeed, free: f64) -> Finding {
     if lasts_s < MIN_LASTING_S { Finding::warn(SUBJECT, found, advice) } else { Finding::ok(SUBJECT, found) }
 }
 
-/// A disk that is full sooner deserves a word: ten minutes are some tens of grasps.
+/// A disk that fills up sooner gives a warning: ten minutes are some tens of grasps.
 const MIN_LASTING_S: f64 = 600.0;
 
 fn duration(seconds: f64) -> String {
@@ -125,7 +125,7 @@ fn duration(seconds: f64) -> String {
 fn try_to_write(folder: &Path) -> std::io::Result<()> {
     let probe = folder.join(format!(".gelstereo-host-check-{}", std::process::id()));
     let written = std::fs::write(&probe, [0]);
-    // A file that was created but not filled is removed too.
+    // Also remove a file that was created but not written.
     let removed = std::fs::remove_file(&probe);
     written.and(removed)
 }

@@ -1,4 +1,4 @@
-//! Which hardware a configuration needs, and what of it is there.
+//! Checks which hardware a configuration needs and whether it is present.
 
 use crate::camera::{self, CameraConfig, CaptureError};
 use crate::codec::{blink1, tara};
@@ -8,7 +8,7 @@ use crate::gripper::GripperConfig;
 use crate::hid::{HidError, HidSelector, kernel_leds};
 use std::path::Path;
 
-/// One line for each device that the job has: the camera, its settings by HID, the light, the gripper and the robot.
+/// One finding for each device: camera, its HID settings, light, gripper and robot.
 pub(super) fn examine(config: &Config) -> Vec<Finding> {
     let mut findings = camera(&config.source);
     findings.extend(camera_hid(&config.camera_hid));
@@ -34,7 +34,7 @@ fn camera(source: &SourceConfig) -> Vec<Finding> {
     }
 }
 
-/// A port that is there is not opened here: that is done with all devices together.
+/// Does not open an existing port: all devices are opened together later.
 fn gripper(config: &GripperConfig) -> Finding {
     const SUBJECT: &str = "gripper";
     let Some(port) = config.port() else {

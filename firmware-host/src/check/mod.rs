@@ -1,4 +1,4 @@
-//! Whether a configuration would work here, point by point.
+//! Checks point by point whether a configuration would work on this computer.
 
 pub mod disk;
 mod hardware;
@@ -9,8 +9,8 @@ use crate::part::Part;
 use crate::run::Setup;
 use crate::source::FolderSource;
 
-/// Checks the configuration's values, the part, the devices and where the recording would go. Nothing moves, and no
-/// existing recording is touched.
+/// Checks the configuration's values, the part, the devices and the location of the recording. Nothing
+/// moves, and existing recordings are not modified.
 #[must_use]
 pub fn check(config: &Config) -> Vec<Finding> {
     let values = config.validate();
@@ -25,7 +25,7 @@ pub fn check(config: &Config) -> Vec<Finding> {
     if values.is_ok() && task.is_ok() {
         findings.extend(devices(config));
     }
-    // An empty path is among the values.
+    // An empty path is already reported with the values.
     if config.recording.path.file_name().is_some() {
         findings.push(disk::examine(config));
     }
@@ -46,7 +46,7 @@ fn part(config: &Config) -> Finding {
     }
 }
 
-/// Opens what the job opens.
+/// Opens the devices that the job opens.
 fn devices(config: &Config) -> Vec<Finding> {
     let mut findings = Vec::new();
     match Setup::new(config) {
@@ -61,7 +61,7 @@ fn devices(config: &Config) -> Vec<Finding> {
     findings
 }
 
-/// Whether the images are as large as the rig's, and how many are missing.
+/// Checks that the image size matches the rig, and counts missing images.
 fn images(config: &Config, source: &mut FolderSource) -> Finding {
     const SUBJECT: &str = "images";
     let dropped = source.dropped();

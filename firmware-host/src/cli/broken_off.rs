@@ -1,18 +1,18 @@
-//! The summary as JSON of a job that breaks off.
+//! JSON summary of an aborted job.
 
 use super::{CliError, say};
 use gelstereo_host::report::{ErrorReport, PageReport, StageReport};
 
-/// What a job has done so far.
+/// Progress of a job.
 #[derive(Default)]
 pub(super) struct Done {
-    /// The stages that are over.
+    /// Completed stages.
     pub(super) stages: Vec<StageReport>,
-    /// The page of a run that broke off.
+    /// Report page of an aborted run.
     pub(super) page: Option<PageReport>,
 }
 
-/// Does a job. If it breaks off and JSON was asked for, standard output has the reason too.
+/// Runs a job. If it is aborted and JSON was requested, the reason is also written to standard output.
 pub(super) fn reported(
     json: bool,
     job: impl FnOnce(&mut Done) -> Result<bool, CliError>,
@@ -21,7 +21,7 @@ pub(super) fn reported(
     let result = job(&mut done);
     if let (true, Err(CliError::Host(error))) = (json, &result) {
         let report = ErrorReport::new(error.cause(), error.to_string(), done.stages, done.page);
-        // The error itself follows on stderr, and matters more than one of the report.
+        // The error itself follows on stderr and takes precedence over an error in writing the report.
         let _ = serde_json::to_string_pretty(&report).map_err(CliError::Json).and_then(say);
     }
     result

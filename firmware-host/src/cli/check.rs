@@ -12,7 +12,7 @@ pub struct Arguments {
     /// Configuration; without it the embedded default.
     #[arg(long, value_name = "TOML")]
     config: Option<PathBuf>,
-    /// Print the embedded default as TOML, with a comment on every setting, and stop.
+    /// Print the embedded default as TOML, with a comment on every setting, and exit.
     #[arg(long)]
     print_default: bool,
 }

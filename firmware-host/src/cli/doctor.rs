@@ -13,7 +13,8 @@ pub struct Arguments {
     /// Configuration; without it the embedded default.
     #[arg(long, value_name = "TOML")]
     config: Option<PathBuf>,
-    /// Camera to measure rate and latency of, instead of the configured one: `serial:NUMBER` or a path.
+    /// Camera whose rate and latency are measured, instead of the configured one: `serial:NUMBER` or a
+    /// path.
     #[arg(long, value_name = "DEVICE")]
     camera: Option<String>,
     /// Print everything as JSON instead of text.
@@ -39,7 +40,7 @@ pub fn command(Arguments { config, camera, json }: &Arguments) -> Result<bool, C
     Ok(diagnosis.run_would_start)
 }
 
-/// The configured camera's settings with another device.
+/// Settings of the configured camera for another device.
 fn named(config: &Config, device: &str) -> CameraConfig {
     let configured = match &config.source {
         SourceConfig::Camera(camera) => camera.clone(),

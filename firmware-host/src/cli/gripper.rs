@@ -1,4 +1,4 @@
-//! `gelstereo-host gripper`: the configured gripper by hand, for bench work.
+//! `gelstereo-host gripper`: manual control of the configured gripper for bench work.
 
 use super::{CliError, load, say, stop_flag};
 use clap::{Args, Subcommand};
@@ -22,26 +22,26 @@ pub struct Arguments {
 enum Action {
     /// Print width and state; nothing moves.
     Status,
-    /// Make the gripper ready. Some sweep their fingers, unless they are ready.
+    /// Make the gripper ready. Some sweep their fingers, unless they are already active.
     Activate,
-    /// Move to a width and wait until the fingers stand.
+    /// Move to a width and wait until the fingers stop.
     Move {
         /// Opening between the pads.
         width_mm: f64,
         /// Speed.
         #[arg(long, default_value_t = 50.0)]
         speed_mm_s: f64,
-        /// Share of the gripper's range of force, 0 to 1.
+        /// Fraction of the gripper's force range, 0 to 1.
         #[arg(long, default_value_t = 0.2)]
         force: f64,
     },
-    /// Stop the fingers where they are.
+    /// Stop the fingers at their position.
     Stop,
 }
 
-/// The longest stroke at the slowest speed of the grippers that there are drivers for takes some 8 s.
+/// The longest stroke at the slowest speed of the supported grippers takes some 8 s.
 const MAX_MOVE: Duration = Duration::from_secs(30);
-/// Between two looks at a move; a Robotiq gripper wants to hear something once a second.
+/// Polling period of a move; a Robotiq gripper expects communication once per second.
 const POLL: Duration = Duration::from_millis(20);
 
 pub fn command(Arguments { config, action }: &Arguments) -> Result<bool, CliError> {
@@ -79,7 +79,7 @@ fn activate(gripper: &mut dyn Gripper, stop: &AtomicBool) -> Result<(), GripperE
     wait(gripper, stop)
 }
 
-/// Waits until the fingers stand, and stops them when somebody asks for it.
+/// Waits until the fingers stop; stops them if requested.
 fn wait(gripper: &mut dyn Gripper, stop: &AtomicBool) -> Result<(), GripperError> {
     let deadline = Instant::now() + MAX_MOVE;
     while gripper.status()?.moving {

@@ -10,7 +10,7 @@ use std::path::PathBuf;
 pub struct Arguments {
     /// The file that `sense --health-file` writes.
     file: PathBuf,
-    /// Longest time since it was written.
+    /// Largest age of the file.
     #[arg(long, value_name = "SECONDS", default_value_t = 5.0)]
     max_age_s: f64,
 }
@@ -22,7 +22,7 @@ pub fn command(Arguments { file, max_age_s }: &Arguments) -> Result<bool, CliErr
             Ok(true)
         }
         Err(error) => {
-            // The exit code says it too.
+            // The exit code also reports the failure.
             let _ = writeln!(std::io::stderr(), "gelstereo-host: {error}");
             Ok(false)
         }

@@ -51,27 +51,29 @@ struct Arguments {
 enum Command {
     /// Do the job: open, rest frame, close, localize, align, insert, retreat.
     Run(run::Arguments),
-    /// Teach the goal: grasp the part where you placed it, localize it there, write a file for `task.taught`.
+    /// Teach the goal: grasp the part where you placed it, localize it there, write a file for
+    /// `task.taught`.
     Teach(teach::Arguments),
-    /// Sense without a robot, for ever: points, contact and pose to a recording, standard output or the network.
+    /// Sense without a robot until stopped: points, contact and pose to a recording, standard output or
+    /// the network.
     Sense(sense::Arguments),
-    /// Say whether a running `sense --health-file` is well.
+    /// Report whether a running `sense --health-file` is healthy.
     Health(health::Arguments),
-    /// Compute a recording again from its images and compare every result.
+    /// Recompute a recording from its images and compare every result.
     Replay(replay::Arguments),
-    /// Copy a recording that was cut off as far as it goes, with an index.
+    /// Copy the readable part of a truncated recording, with an index.
     Recover(recover::Arguments),
-    /// Make a folder of image pairs with truth from a scene.
+    /// Create a folder of image pairs with ground truth from a scene.
     Simulate(simulate::Arguments),
-    /// Say whether a configuration would work here; nothing moves.
+    /// Check whether a configuration would work on this computer; nothing moves.
     Check(check::Arguments),
-    /// Look at the configured gripper or move it, for bench work.
+    /// Query the configured gripper or move it, for bench work.
     Gripper(gripper::Arguments),
-    /// Say what is connected, who may use it, how fast camera and disk are, and whether `run` would start.
+    /// Report connected devices, permissions, camera and disk speed, and whether `run` would start.
     Doctor(doctor::Arguments),
 }
 
-/// What can go wrong at the edge: told in one line, exit code 2.
+/// Errors of the command line: reported in one line, exit code 2.
 enum CliError {
     Host(HostError),
     Simulate(SimulateError),
@@ -104,7 +106,7 @@ impl<E: Into<HostError>> From<E> for CliError {
     }
 }
 
-/// Runs the command that the arguments name.
+/// Runs the command given by the arguments.
 pub fn main() -> ExitCode {
     let result = match Arguments::parse().command {
         Command::Run(arguments) => run::command(arguments),
@@ -122,7 +124,7 @@ pub fn main() -> ExitCode {
         Ok(true) => ExitCode::SUCCESS,
         Ok(false) => ExitCode::from(1),
         Err(error) => {
-            // When stderr is gone too, the exit code is all that is left to say.
+            // If stderr is closed too, only the exit code reports the error.
             let _ = writeln!(std::io::stderr(), "gelstereo-host: {error}");
             ExitCode::from(2)
         }
@@ -133,12 +135,12 @@ fn load(path: Option<&Path>) -> Result<Config, ConfigError> {
     path.map_or_else(|| Ok(Config::default()), Config::load)
 }
 
-/// Writes a line of the result; a pipe that was closed is an error, not a panic.
+/// Writes a line of the result; a closed pipe is an error, not a panic.
 fn say(line: impl fmt::Display) -> Result<(), CliError> {
     writeln!(std::io::stdout(), "{line}").map_err(CliError::Output)
 }
 
-/// A flag that Ctrl-C raises, as do SIGTERM and SIGHUP.
+/// Flag raised on Ctrl-C, SIGTERM and SIGHUP.
 fn stop_flag() -> Result<Arc<AtomicBool>, CliError> {
     let stop = Arc::new(AtomicBool::new(false));
     let raised = Arc::clone(&stop);

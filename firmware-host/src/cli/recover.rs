@@ -7,11 +7,11 @@ use std::path::{Path, PathBuf};
 
 #[derive(Args)]
 pub struct Arguments {
-    /// The recording that was cut off or damaged. It is only read.
+    /// The truncated or damaged recording. It is only read.
     broken: PathBuf,
     /// The new file. Default: `broken.recovered.mcap` beside it.
     fixed: Option<PathBuf>,
-    /// Put the new file in the place of the broken one.
+    /// Replace the broken file by the new one.
     #[arg(long, conflicts_with = "fixed")]
     in_place: bool,
     /// Print the summary as JSON instead of text.

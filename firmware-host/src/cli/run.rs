@@ -16,7 +16,7 @@ pub struct Arguments {
     /// Configuration; without it the embedded default.
     #[arg(long, value_name = "TOML")]
     config: Option<PathBuf>,
-    /// Where to record, instead of `recording.path`.
+    /// Record to this file, instead of `recording.path`.
     #[arg(long, value_name = "MCAP")]
     record: Option<PathBuf>,
     /// Seed of the simulated world, instead of `simulated.seed`.
@@ -39,7 +39,7 @@ fn job(Arguments { config, record, seed, json }: Arguments, done: &mut Done) -> 
     let bar = ProgressBar::new_spinner();
     bar.enable_steady_tick(Duration::from_millis(100));
     bar.set_message("Ctrl-C stops the job and closes the recording");
-    // The robot moves: that nobody reads the lines is told at the end, and does not break the job off.
+    // The robot moves: a closed output must not abort the job and is reported at the end.
     let mut said = Ok(());
     let mut progress = |report: &StageReport| {
         let line = stage_line(report);
@@ -77,18 +77,18 @@ pub(super) fn tell_page_fault(report: &JobReport) {
 
 pub(super) fn tell_light_fault(report: &JobReport) {
     if let Some(reason) = &report.light_fault {
-        // When stderr is gone too, the report as JSON still has it.
+        // If stderr is closed too, the JSON report still contains it.
         let _ = writeln!(std::io::stderr(), "gelstereo-host: the light was not switched off: {reason}");
     }
 }
 
-/// Says where the page of a run that broke off stands. A page that could not be written leaves no file.
+/// Reports the path of an aborted run's page. A page that could not be written leaves no file.
 fn name_page(recording: &RecordingConfig) -> Option<PageReport> {
     let path = page_path(&recording.path);
     if !(recording.report && path.is_file()) {
         return None;
     }
-    // When stderr is gone too, the error that follows is lost as well.
+    // If stderr is closed too, the error that follows is lost as well.
     let _ = writeln!(std::io::stderr(), "gelstereo-host: report: {}", path.display());
     Some(PageReport { path, fault: None })
 }

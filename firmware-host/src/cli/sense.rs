@@ -20,31 +20,31 @@ pub struct Arguments {
     /// Configuration; without it the embedded default.
     #[arg(long, value_name = "TOML")]
     config: Option<PathBuf>,
-    /// Frames from this FIFO or file, or from standard input with `-`, instead of `source`.
+    /// Read frames from this FIFO or file, or from standard input with `-`, instead of `source`.
     #[arg(long, value_name = "PATH")]
     stream: Option<PathBuf>,
     /// With --stream: frames are grey bytes of this size, both views side by side, without headers.
     #[arg(long, value_name = "WxH", requires = "stream", value_parser = parse_size)]
     raw_size: Option<[u32; 2]>,
-    /// With --stream: sense every frame and let the producer wait, instead of always the newest.
+    /// With --stream: sense every frame and let the producer wait, instead of only the newest.
     #[arg(long, requires = "stream")]
     every: bool,
-    /// Record to this file; where it exists already, to one beside it.
+    /// Record to this file; if it exists, to a new one beside it.
     #[arg(long, value_name = "MCAP")]
     record: Option<PathBuf>,
-    /// Write a line of JSON for each frame to standard output.
+    /// Write one line of JSON per frame to standard output.
     #[arg(long)]
     jsonl: bool,
     /// Add the points of all markers to these lines.
     #[arg(long, requires = "jsonl")]
     points: bool,
-    /// Publish live; may be given twice.
+    /// Publish live results; may be given twice.
     #[arg(long, value_enum)]
     publish: Vec<PublishBy>,
-    /// End after so many stereo pairs.
+    /// Stop after this many stereo pairs.
     #[arg(long, value_name = "N")]
     frames: Option<u64>,
-    /// How the log on standard error is written.
+    /// Format of the log on standard error.
     #[arg(long, value_enum, default_value_t)]
     log: LogFormat,
     /// Write the state to this file once a second, for `gelstereo-host health`.
@@ -62,10 +62,10 @@ enum PublishBy {
 
 #[derive(Clone, Copy, Default, ValueEnum)]
 enum LogFormat {
-    /// A sentence a line.
+    /// One sentence per line.
     #[default]
     Text,
-    /// A JSON object a line.
+    /// One JSON object per line.
     Json,
 }
 
@@ -119,7 +119,7 @@ fn configuration(arguments: &Arguments) -> Result<Config, CliError> {
     Ok(config)
 }
 
-/// Says what became of the outputs; `false` when one of them lost something.
+/// Reports the state of the outputs; `false` if one of them lost data.
 fn tell_files(log: LogFormat, ended: &Ended) -> bool {
     let recording = ended.closed.recording.as_ref();
     let faults = recording.and_then(|recording| recording.fault.clone()).into_iter();
@@ -141,7 +141,7 @@ impl PublishBy {
 }
 
 impl LogFormat {
-    /// Writes a line to standard error. A log that nobody takes must not end sensing.
+    /// Writes a line to standard error. A closed log must not end sensing.
     fn say(self, report: &Report) {
         let line = match self {
             Self::Text => report.to_string(),

@@ -9,9 +9,9 @@ use std::sync::atomic::Ordering;
 
 #[derive(Args)]
 pub struct Arguments {
-    /// The scene.
+    /// Scene file.
     scene: PathBuf,
-    /// The folder, which is created.
+    /// Folder to create.
     folder: PathBuf,
 }
 

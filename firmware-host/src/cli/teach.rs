@@ -15,19 +15,20 @@ pub struct Arguments {
     /// Configuration; without it the embedded default.
     #[arg(long, value_name = "TOML")]
     config: Option<PathBuf>,
-    /// Where to write the taught goal; `task.taught` then names it.
+    /// Output file of the taught goal, for `task.taught`.
     #[arg(long, value_name = "JSON")]
     output: PathBuf,
-    /// Where to record, instead of `recording.path`.
+    /// Record to this file, instead of `recording.path`.
     #[arg(long, value_name = "MCAP")]
     record: Option<PathBuf>,
     /// Seed of the simulated world, instead of `simulated.seed`.
     #[arg(long)]
     seed: Option<u64>,
-    /// Leave the robot where it is, with the open fingers around the part, instead of coming to `task.goal_pose`.
+    /// Leave the robot where it is, with the open fingers around the part, instead of moving to
+    /// `task.goal_pose`.
     #[arg(long)]
     stay: bool,
-    /// Begin at once, without waiting for Enter.
+    /// Start at once, without waiting for Enter.
     #[arg(long)]
     yes: bool,
     /// Print the summary as JSON instead of text.
@@ -72,7 +73,7 @@ fn job(arguments: Arguments, done: &mut Done) -> Result<bool, CliError> {
     Ok(teaching.taught.is_some())
 }
 
-/// Asks for the part where a real robot is about to move; `false` when standard input is closed.
+/// Prompts for the part before a real robot moves; `false` if standard input is closed.
 fn ready(config: &Config, stay: bool) -> Result<bool, CliError> {
     if config.robot == RobotConfig::Simulated {
         return Ok(true);

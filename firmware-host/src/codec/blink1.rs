@@ -1,8 +1,8 @@
-//! Feature reports of ThingM's blink(1), a light on USB.
+//! Feature reports of ThingM's blink(1) USB light.
 //!
-//! A command is the feature report number 1: its number, a letter, and up to seven bytes. ThingM's document shows eight
-//! bytes; the kernel's driver `hid-led` sends nine, and so does this codec. A command that reads is sent first, then
-//! the same report is fetched.
+//! A command is feature report number 1: the report number, a letter and up to seven bytes. ThingM's
+//! document shows eight bytes; the kernel driver `hid-led` sends nine, and so does this codec. To read,
+//! the command is sent first and the same report is then fetched.
 //!
 //! Layout after ThingM's `blink1-hid-commands.md`.
 
@@ -12,7 +12,7 @@ use std::fmt;
 pub const VENDOR: u16 = 0x27B8;
 /// USB product of the blink(1).
 pub const PRODUCT: u16 = 0x01ED;
-/// Length of a report, its number included.
+/// Length of a report including its number.
 pub const REPORT_BYTES: usize = 9;
 /// Longest fade, milliseconds: 65535 ticks of 10 ms.
 pub const MAX_FADE_MS: u32 = 655_350;
@@ -31,7 +31,7 @@ pub struct Rgb {
     pub blue: u8,
 }
 
-/// Which of the device's lights.
+/// Lights of the device.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Led {
     /// All of them.
@@ -50,21 +50,21 @@ pub enum Command {
     Fade {
         /// The colour.
         color: Rgb,
-        /// The time, milliseconds: 0 to [`MAX_FADE_MS`], rounded down to 10 ms.
+        /// Duration in milliseconds: 0 to [`MAX_FADE_MS`], rounded down to 10 ms.
         fade_ms: u32,
-        /// Which lights.
+        /// Lights to change.
         led: Led,
     },
     /// Change to a colour at once.
     Set {
         /// The colour.
         color: Rgb,
-        /// Which lights.
+        /// Lights to change.
         led: Led,
     },
     /// Read the colour.
     Read {
-        /// Of which light.
+        /// Light to read.
         led: Led,
     },
     /// Read the firmware's version.
@@ -80,12 +80,12 @@ pub struct Version {
     pub minor: u8,
 }
 
-/// Why a command cannot be sent or its answer cannot be used.
+/// A command that cannot be sent, or an answer that cannot be used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Blink1Error {
-    /// The light cannot fade for so long.
+    /// The fade is longer than the light supports.
     Fade {
-        /// What was asked for, milliseconds.
+        /// Requested duration, milliseconds.
         found_ms: u32,
     },
     /// A report does not answer the command.
@@ -116,7 +116,7 @@ impl fmt::Display for Blink1Error {
 impl std::error::Error for Blink1Error {}
 
 impl Rgb {
-    /// This colour at a share of its brightness, 0 to 1; what is outside counts as the nearer end.
+    /// Scales the colour by a brightness from 0 to 1; values outside are clamped.
     #[must_use]
     pub fn scaled(self, brightness: f64) -> Self {
         // A NaN becomes 0: the light stays off.
@@ -159,7 +159,7 @@ impl Command {
         Ok(report)
     }
 
-    /// Checks that a report that was fetched answers this command.
+    /// Checks that a fetched report answers this command.
     fn answer(self, report: &[u8]) -> Result<[u8; 5], Blink1Error> {
         let mut found = [0; 5];
         let length = report.len();
@@ -174,7 +174,7 @@ impl Command {
 }
 
 impl Version {
-    /// Reads the report that was fetched after [`Command::Version`].
+    /// Decodes the report fetched after [`Command::Version`].
     ///
     /// # Errors
     /// [`Blink1Error::Answer`].
@@ -188,7 +188,7 @@ impl Version {
 }
 
 impl Rgb {
-    /// Reads the report that was fetched after [`Command::Read`].
+    /// Decodes the report fetched after [`Command::Read`].
     ///
     /// # Errors
     /// [`Blink1Error::Answer`].

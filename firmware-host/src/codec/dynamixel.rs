@@ -1,38 +1,38 @@
-//! Dynamixel protocol 2.0 (ROBOTIS e-Manual): packets to a servo and status packets from it.
+//! Dynamixel protocol 2.0 (ROBOTIS e-Manual): instruction packets and status packets.
 //!
-//! A packet is a header, an identifier, a length, an instruction, parameters and a CRC; numbers are little-endian. Where
-//! the header's bytes occur in parameters, a fourth byte is stuffed in.
+//! A packet is a header, an identifier, a length, an instruction, parameters and a CRC; numbers are
+//! little-endian. Header bytes that occur in parameters are escaped by a stuffed fourth byte.
 
 use std::fmt;
 
 const HEADER: [u8; 4] = [0xFF, 0xFF, 0xFD, 0x00];
-/// These bytes of the header may not occur in parameters.
+/// Header bytes that must not occur unescaped in parameters.
 const FORBIDDEN: [u8; 3] = [0xFF, 0xFF, 0xFD];
 /// Header, identifier, length.
 const PREFIX: usize = 7;
 const STATUS: u8 = 0x55;
-/// Set in a status when the servo has a hardware fault of its own.
+/// Error bit of a status: the servo has a hardware fault.
 const ALERT: u8 = 0x80;
-/// Packets of a servo are far shorter; a longer length is damage.
+/// Longest accepted length. Packets of a servo are far shorter; a longer one is corrupt.
 const MAX_LENGTH: usize = 1024;
 
-/// What a servo shall do.
+/// Instruction to a servo.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Instruction<'a> {
-    /// Say that you are there.
+    /// Check whether the servo is present.
     Ping,
-    /// Send bytes of the control table.
+    /// Read bytes of the control table.
     Read {
         /// First address.
         address: u16,
-        /// Bytes.
+        /// Number of bytes.
         count: u16,
     },
-    /// Change bytes of the control table.
+    /// Write bytes of the control table.
     Write {
         /// First address.
         address: u16,
-        /// The bytes.
+        /// Bytes to write.
         data: &'a [u8],
     },
     /// Restart; clears a hardware fault.
@@ -49,7 +49,7 @@ impl Instruction<'_> {
         }
     }
 
-    /// The packet that carries it to a servo.
+    /// Encodes the packet for servo `id`.
     #[must_use]
     pub fn encode(&self, id: u8) -> Vec<u8> {
         let mut body = vec![self.number()];
@@ -68,7 +68,7 @@ impl Instruction<'_> {
     }
 }
 
-/// A packet around an instruction and its parameters.
+/// Wraps an instruction and its parameters into a packet.
 fn packet(id: u8, body: &[u8]) -> Vec<u8> {
     let body = stuff(body);
     let mut bytes = HEADER.to_vec();
@@ -79,7 +79,7 @@ fn packet(id: u8, body: &[u8]) -> Vec<u8> {
     bytes
 }
 
-/// CRC-16 with the polynomial 0x8005, most significant bit first, started at 0.
+/// CRC-16 with polynomial 0x8005, most significant bit first, initial value 0.
 #[must_use]
 pub fn crc(bytes: &[u8]) -> u16 {
     bytes.iter().fold(0, |crc, &byte| {
@@ -119,29 +119,29 @@ fn unstuff(stuffed: &[u8]) -> Vec<u8> {
 /// A status packet.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Status {
-    /// Who sent it.
+    /// Identifier of the sender.
     pub id: u8,
-    /// Whether the servo has a hardware fault; its control table says which.
+    /// Whether the servo has a hardware fault; its control table states which.
     pub alert: bool,
-    /// Bytes that were read.
+    /// Bytes read.
     pub data: Vec<u8>,
 }
 
-/// Why there is no status.
+/// Reason for a missing status.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DynamixelError {
     /// The servo refused the instruction.
     Refused {
-        /// Who.
+        /// Identifier of the servo.
         id: u8,
         /// Its error number.
         number: u8,
     },
     /// A packet has the wrong CRC.
     Checksum {
-        /// In the packet.
+        /// CRC in the packet.
         found: u16,
-        /// Of its bytes.
+        /// CRC computed from its bytes.
         expected: u16,
     },
 }
@@ -171,14 +171,16 @@ impl fmt::Display for DynamixelError {
 
 impl std::error::Error for DynamixelError {}
 
-/// Collects the bytes of status packets as they come. The echo of an own instruction on a one-wire bus is passed over.
+/// Assembles status packets from received bytes. The echo of a sent instruction on a one-wire bus is
+/// skipped.
 #[derive(Clone, Debug, Default)]
 pub struct StatusReader {
     bytes: Vec<u8>,
 }
 
 impl StatusReader {
-    /// Takes what came; the next whole status, if there is one. Call again with nothing for more.
+    /// Adds received bytes and returns the next complete status, if any. Call again with an empty slice
+    /// for more.
     ///
     /// # Errors
     /// [`DynamixelError`].
@@ -189,7 +191,7 @@ impl StatusReader {
             self.bytes.drain(..start.unwrap_or(self.bytes.len().saturating_sub(HEADER.len() - 1)));
             let &[_, _, _, _, id, low, high] = self.bytes.first_chunk::<PREFIX>()?;
             let length = usize::from(u16::from_le_bytes([low, high]));
-            // Instruction and CRC are the shortest packet.
+            // The shortest packet has an instruction and a CRC.
             if !(3..=MAX_LENGTH).contains(&length) {
                 self.bytes.drain(..1);
                 continue;

@@ -1,51 +1,51 @@
-//! Protocol of Feetech's STS and SMS bus servos: packets to a servo and replies from it.
+//! Protocol of Feetech's STS and SMS bus servos: instruction packets and replies.
 //!
-//! A packet is two bytes 0xFF, an identifier, a length, an instruction, parameters and a checksum, as in Dynamixel's
-//! protocol 1.0. Numbers in the control table are little-endian; some have a sign bit in front instead of a two's
-//! complement.
+//! A packet is two bytes 0xFF, an identifier, a length, an instruction, parameters and a checksum, as in
+//! Dynamixel protocol 1.0. Numbers in the control table are little-endian; some are sign-magnitude
+//! rather than two's complement.
 
 use std::fmt;
 
 const HEADER: [u8; 2] = [0xFF; 2];
 /// Header, identifier, length.
 const PREFIX: usize = 4;
-/// The identifier of no servo.
+/// Broadcast identifier; no servo has it.
 pub const BROADCAST: u8 = 0xFE;
 
-/// What a servo shall do.
+/// Instruction to a servo.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Instruction<'a> {
-    /// Say that you are there.
+    /// Check whether the servo is present.
     Ping,
-    /// Send bytes of the control table.
+    /// Read bytes of the control table.
     Read {
         /// First address.
         address: u8,
-        /// Bytes.
+        /// Number of bytes.
         count: u8,
     },
-    /// Change bytes of the control table.
+    /// Write bytes of the control table.
     Write {
         /// First address.
         address: u8,
-        /// The bytes, at most 251.
+        /// Bytes to write, at most 251.
         data: &'a [u8],
     },
 }
 
-/// Why there is no packet or no reply.
+/// Reason for a missing packet or reply.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FeetechError {
-    /// A packet carries at most 251 bytes of data.
+    /// The data exceed 251 bytes.
     TooLong {
-        /// Bytes of data.
+        /// Number of data bytes.
         found: usize,
     },
     /// A packet has the wrong checksum.
     Checksum {
-        /// In the packet.
+        /// Checksum in the packet.
         found: u8,
-        /// Of its bytes.
+        /// Checksum computed from its bytes.
         expected: u8,
     },
 }
@@ -64,7 +64,7 @@ impl fmt::Display for FeetechError {
 impl std::error::Error for FeetechError {}
 
 impl Instruction<'_> {
-    /// The packet that carries it to a servo.
+    /// Encodes the packet for servo `id`.
     ///
     /// # Errors
     /// [`FeetechError::TooLong`].
@@ -74,7 +74,7 @@ impl Instruction<'_> {
             Self::Read { address, count } => vec![0x02, address, count],
             Self::Write { address, data } => [&[0x03, address], data].concat(),
         };
-        // The length counts the body and the checksum; 255 would look like a header.
+        // The length counts the body and the checksum; 255 would look like a header byte.
         let length = match u8::try_from(body.len() + 1) {
             Ok(length) if length < 0xFF => length,
             _ => return Err(FeetechError::TooLong { found: body.len().saturating_sub(2) }),
@@ -95,15 +95,16 @@ fn checksum(packet: &[u8]) -> u8 {
 /// A reply.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Status {
-    /// Who sent it.
+    /// Identifier of the sender.
     pub id: u8,
-    /// Faults that the servo has now.
+    /// Present faults of the servo.
     pub faults: Faults,
-    /// Bytes that were read.
+    /// Bytes read.
     pub data: Vec<u8>,
 }
 
-/// Faults of a servo, one bit each. They are a state and no refusal.
+/// Faults of a servo, one bit each. They describe its state; they do not mean that the instruction was
+/// refused.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Faults(pub u8);
 
@@ -128,10 +129,10 @@ impl fmt::Display for Faults {
     }
 }
 
-/// Collects the bytes of replies as they come.
+/// Assembles replies from received bytes.
 ///
-/// A reply looks like an instruction: on a one-wire bus the echo of the instruction comes first. The echo is passed over
-/// where it is told apart by its bytes.
+/// A reply has the format of an instruction, and a one-wire bus first returns the echo of the
+/// instruction. A packet identical to the sent one is skipped as its echo.
 #[derive(Clone, Debug, Default)]
 pub struct StatusReader {
     bytes: Vec<u8>,
@@ -139,13 +140,14 @@ pub struct StatusReader {
 }
 
 impl StatusReader {
-    /// For replies after a packet that may come back as an echo.
+    /// Reader for replies to `packet`, whose echo is skipped.
     #[must_use]
     pub fn after(packet: &[u8]) -> Self {
         Self { bytes: Vec::new(), echo: packet.to_vec() }
     }
 
-    /// Takes what came; the next whole reply, if there is one. Call again with nothing for more.
+    /// Adds received bytes and returns the next complete reply, if any. Call again with an empty slice
+    /// for more.
     ///
     /// # Errors
     /// [`FeetechError::Checksum`].
@@ -155,7 +157,8 @@ impl StatusReader {
             let start = self.bytes.windows(HEADER.len()).position(|window| window == HEADER);
             self.bytes.drain(..start.unwrap_or(self.bytes.len().saturating_sub(HEADER.len() - 1)));
             let &[_, _, id, length] = self.bytes.first_chunk::<PREFIX>()?;
-            // A third 0xFF shifts the header by one; error and checksum are the shortest reply.
+            // A third 0xFF shifts the header by one. The shortest reply has an error byte and a
+            // checksum.
             if id == 0xFF || length < 2 {
                 self.bytes.drain(..1);
                 continue;
@@ -180,7 +183,7 @@ impl StatusReader {
     }
 }
 
-/// A number of the control table with its sign in bit `sign_bit`.
+/// Decodes a sign-magnitude number of the control table with its sign in bit `sign_bit`.
 #[must_use]
 pub const fn signed(value: u16, sign_bit: u32) -> i32 {
     let magnitude = (value & ((1 << sign_bit) - 1)) as i32;

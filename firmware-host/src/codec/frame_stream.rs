@@ -1,89 +1,89 @@
-//! The frame stream: how a vendor's SDK, GStreamer or a script hands stereo frames to the host through a
+//! Frame stream: passes stereo frames from a vendor's SDK, GStreamer or a script to the host through a
 //! pipe.
 //!
-//! A stream is a sequence of frames, each a header of [`HEADER_BYTES`] bytes and its payload;
-//! `docs/frame-stream.md` has the table of bytes. [`FrameDecoder`] takes the bytes in chunks of any size, and
-//! finds the next frame again after bytes that are none.
+//! A stream is a sequence of frames, each a header of [`HEADER_BYTES`] bytes and its payload.
+//! `docs/frame-stream.md` has the byte table. [`FrameDecoder`] accepts chunks of any size and
+//! resynchronises after bytes that belong to no frame.
 
 use crate::source::StereoLayout;
 
-/// First bytes of every header. The first one is no ASCII and no UTF-8, so that text is never taken for a
-/// frame.
+/// First bytes of every header. The first byte is invalid in ASCII and at the start of UTF-8 text, so
+/// text is never mistaken for a frame.
 pub const MAGIC: [u8; 4] = [0x89, b'G', b'S', b'F'];
-/// Version of the format that is written and read.
+/// Format version written and read.
 pub const VERSION: u8 = 1;
 /// Length of a header.
 pub const HEADER_BYTES: usize = 44;
-/// Widest and highest valid frame, both views together.
+/// Largest valid width and height of a frame, both views together.
 pub const MAX_SIDE_PX: u32 = 16_384;
 /// Longest valid payload: four times a pair of 8 megapixels. It bounds the decoder's memory.
 pub const MAX_PAYLOAD_BYTES: u32 = 1 << 26;
 
-/// Bytes that belong to no frame are reported at the next frame, or when there are so many, so that a stream
-/// of another kind is noticed: less than two pairs of 640 x 480.
+/// Bytes that belong to no frame are reported at the next frame, or once this many have come, so that a
+/// stream of another kind is noticed. It is less than two pairs of 640 x 480.
 const MAX_SKIPPED_BYTES: u64 = 1 << 20;
 
-/// Bit of the flags that says that the payload has a checksum.
+/// Flag bit: the payload has a checksum.
 const HAS_PAYLOAD_CRC: u8 = 1;
-/// The header's own checksum stands here, over everything before it.
+/// Offset of the header's checksum, which covers everything before it.
 const HEADER_CRC_AT: usize = 40;
 
-/// How the pixels of a frame are stored.
+/// Pixel storage of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PayloadFormat {
-    /// One byte a pixel, row after row without padding.
+    /// One byte per pixel, row by row without padding.
     Grey8,
     /// One JPEG file that holds both views.
     Jpeg,
 }
 
-/// What stands before a payload.
+/// Header before a payload.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FrameHeader {
-    /// Number of the frame; it grows by 1. A gap is counted as lost frames.
+    /// Frame number; it grows by 1. A gap is counted as lost frames.
     pub sequence: u64,
-    /// Moment of exposure, `CLOCK_MONOTONIC` of the host, nanoseconds; `None` where the producer cannot say.
+    /// Time of exposure, `CLOCK_MONOTONIC` of the host, nanoseconds; `None` if unknown to the producer.
     pub captured_ns: Option<u64>,
     /// Pixels per row, both views together.
     pub width_px: u32,
     /// Rows, both views together.
     pub height_px: u32,
-    /// How the pixels are stored.
+    /// Pixel storage.
     pub format: PayloadFormat,
-    /// Where both views stand in the frame.
+    /// Arrangement of the two views in the frame.
     pub layout: StereoLayout,
     /// Length of the payload, bytes.
     pub payload_bytes: u32,
-    /// CRC-32 of the payload, where the producer computes one.
+    /// CRC-32 of the payload, if the producer computes one.
     pub payload_crc: Option<u32>,
 }
 
-/// Why bytes of a stream make no frame. The decoder goes on after each of them.
+/// Reason why bytes are not a frame. The decoder continues after each.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FrameStreamError {
     /// Bytes that belong to no frame.
     Skipped {
-        /// How many.
+        /// Number of bytes.
         bytes: u64,
     },
-    /// The header is of another version.
+    /// The header has another version.
     Version {
-        /// What was found.
+        /// Version found.
         found: u8,
     },
     /// The payload's format is unknown.
     Format {
-        /// What was found.
+        /// Format found.
         found: u8,
     },
     /// The layout of the views is unknown.
     Layout {
-        /// What was found.
+        /// Layout found.
         found: u8,
     },
     /// A flag is unknown.
     Flags {
-        /// What was found.
+        /// Flags found.
         found: u8,
     },
     /// The frame is empty, odd in width, or too large.
@@ -93,23 +93,23 @@ pub enum FrameStreamError {
         /// Rows.
         height_px: u32,
     },
-    /// The payload is longer than any valid one, empty, or does not fit the size of a grey frame.
+    /// The payload is longer than any valid one, empty, or does not match the size of a grey frame.
     Length {
         /// Length found, bytes.
         found: u32,
         /// Length of a grey frame of that size; `None` for a JPEG file.
         expected: Option<u32>,
     },
-    /// The payload differs from its checksum: bytes were lost on the way.
+    /// The payload does not match its checksum: bytes were lost in transit.
     Payload {
-        /// The frame's number.
+        /// Frame number.
         sequence: u64,
     },
     /// The stream ended within a frame.
     Cut {
-        /// Bytes of the frame that came.
+        /// Bytes of the frame that were received.
         found: usize,
-        /// Bytes of the frame, or of its header where that is not complete.
+        /// Length of the frame, or of its header while that is incomplete.
         expected: usize,
     },
 }
@@ -155,7 +155,7 @@ const fn layout_code(layout: StereoLayout) -> u8 {
 }
 
 impl FrameHeader {
-    /// Its bytes.
+    /// Encodes the header.
     #[must_use]
     pub fn encode(&self) -> [u8; HEADER_BYTES] {
         let format = match self.format {
@@ -176,7 +176,7 @@ impl FrameHeader {
         bytes
     }
 
-    /// The header that these bytes are; `None` when they are none.
+    /// Decodes a header; `None` if the bytes are not one.
     fn decode(bytes: &[u8; HEADER_BYTES]) -> Option<Result<Self, FrameStreamError>> {
         let is_header =
             bytes[..4] == MAGIC && u32_at(bytes, HEADER_CRC_AT) == crc32fast::hash(&bytes[..HEADER_CRC_AT]);
@@ -248,24 +248,24 @@ fn u64_at(bytes: &[u8; HEADER_BYTES], at: usize) -> u64 {
     u64::from_le_bytes(core::array::from_fn(|i| bytes[at + i]))
 }
 
-/// Takes a stream apart. Its memory is that of one header and of the longest payload that came.
+/// Decodes a stream. It holds one header and the longest payload received.
 #[derive(Clone, Debug, Default)]
 pub struct FrameDecoder {
-    /// The header so far; it begins like one.
+    /// Header bytes so far; they start with a prefix of the magic bytes.
     head: Vec<u8>,
     /// The header whose payload is being read.
     header: Option<FrameHeader>,
     payload: Vec<u8>,
-    /// Bytes passed over since the last frame.
+    /// Bytes skipped since the last frame.
     skipped: u64,
 }
 
 impl FrameDecoder {
-    /// Takes bytes off the front of `bytes` until a frame or an error is complete; `None` once all are taken.
-    /// The payload of the frame stands in [`Self::payload`] until the next call.
+    /// Consumes bytes from the front of `bytes` until a frame or an error is complete; `None` once all
+    /// are consumed. The frame's payload is in [`Self::payload`] until the next call.
     ///
     /// # Errors
-    /// [`FrameStreamError`]; the next call goes on after it.
+    /// [`FrameStreamError`]; the next call continues after it.
     pub fn next_frame(&mut self, bytes: &mut &[u8]) -> Option<Result<FrameHeader, FrameStreamError>> {
         loop {
             if let Some(header) = self.header {
@@ -284,18 +284,18 @@ impl FrameDecoder {
         }
     }
 
-    /// The last frame's payload.
+    /// Payload of the last frame.
     #[must_use]
     pub fn payload(&self) -> &[u8] {
         &self.payload
     }
 
-    /// Hands the last frame's payload over for a buffer that the next one may use.
+    /// Swaps the last frame's payload for a buffer that the next frame may use.
     pub fn swap_payload(&mut self, buffer: &mut Vec<u8>) {
         core::mem::swap(&mut self.payload, buffer);
     }
 
-    /// Says what the end of the stream cut off, or which last bytes belonged to no frame, and starts anew.
+    /// Reports a truncated frame or trailing bytes that belong to no frame, and resets the decoder.
     ///
     /// # Errors
     /// [`FrameStreamError::Cut`] or [`FrameStreamError::Skipped`].
@@ -324,7 +324,8 @@ impl FrameDecoder {
         header: &FrameHeader,
         bytes: &mut &[u8],
     ) -> Option<Result<FrameHeader, FrameStreamError>> {
-        // A valid header of garbage may claim much: memory grows with what comes, not with what is said.
+        // A random header with a valid checksum may state a large length: memory grows with the bytes
+        // received only.
         let missing = header.payload_bytes as usize - self.payload.len();
         let (taken, rest) = bytes.split_at(missing.min(bytes.len()));
         self.payload.extend_from_slice(taken);
@@ -367,7 +368,7 @@ impl FrameDecoder {
         }
     }
 
-    /// Drops the first byte, and those after it that begin no header either.
+    /// Drops the first byte, and the bytes after it that cannot start a header.
     fn next_start(&mut self) {
         let start = (1..self.head.len()).find(|&i| begins_like_magic(&self.head[i..]));
         let dropped = start.unwrap_or(self.head.len());

@@ -1,4 +1,5 @@
-//! Protocols without transport: bytes in, bytes out. The host, the Python bindings and the fuzzers share them.
+//! Protocols without transport: they map bytes to bytes. The host, the Python bindings and the fuzzers
+//! share them.
 
 pub mod blink1;
 pub mod dynamixel;

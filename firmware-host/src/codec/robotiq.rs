@@ -1,25 +1,27 @@
-//! Registers of Robotiq's adaptive grippers 2F-85, 2F-140 and Hand-E (their instruction manuals, section "Control").
+//! Registers of Robotiq's adaptive grippers 2F-85, 2F-140 and Hand-E (instruction manuals, section
+//! "Control").
 //!
-//! Commands and status are three registers each, whose bytes the manual counts from the high byte of the first one.
+//! Command and status have three registers each; the manual counts their bytes from the high byte of the
+//! first one.
 
 use super::modbus::Request;
 use std::fmt;
 
-/// Unit address of a gripper as it is delivered.
+/// Factory unit address.
 pub const DEFAULT_UNIT: u8 = 9;
 /// First register of the command.
 pub const COMMAND_ADDRESS: u16 = 0x03E8;
 /// First register of the status.
 pub const STATUS_ADDRESS: u16 = 0x07D0;
-/// Registers of the command, and of the status.
+/// Number of registers of the command, and of the status.
 pub const REGISTERS: u16 = 3;
 
-/// What the gripper shall do. All zeros reset it.
+/// Command to the gripper. All zeros reset it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Command {
     /// `rACT`: stay activated. A rising edge activates: the fingers sweep and drop what they hold.
     pub activate: bool,
-    /// `rGTO`: move to the position. Without it the fingers stop where they are.
+    /// `rGTO`: move to the position. If cleared, the fingers stop where they are.
     pub go: bool,
     /// `rATR`: slow emergency release.
     pub release: bool,
@@ -34,7 +36,7 @@ pub struct Command {
 }
 
 impl Command {
-    /// Its registers.
+    /// Encodes the command as registers.
     #[must_use]
     pub const fn registers(&self) -> [u16; REGISTERS as usize] {
         let action = self.activate as u16
@@ -45,10 +47,10 @@ impl Command {
     }
 }
 
-/// The request for the status alone.
+/// Request for the status alone.
 pub const READ_STATUS: Request<'static> = Request::ReadHolding { address: STATUS_ADDRESS, count: REGISTERS };
 
-/// The request that writes a command and reads the status after it, in one exchange.
+/// Request that writes a command and then reads the status in one exchange.
 #[must_use]
 pub const fn exchange(command: &[u16; REGISTERS as usize]) -> Request<'_> {
     Request::ReadWrite {
@@ -59,33 +61,34 @@ pub const fn exchange(command: &[u16; REGISTERS as usize]) -> Request<'_> {
     }
 }
 
-/// `gSTA`: how far activation is.
+/// `gSTA`: state of activation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Activation {
     /// Reset, or released in an emergency.
     Reset,
-    /// The fingers sweep.
+    /// The fingers are sweeping.
     Activating,
     /// Ready for moves.
     Active,
-    /// The manual gives this value no meaning.
+    /// Value without meaning in the manual.
     Reserved,
 }
 
-/// `gOBJ`: what the fingers do. It is old until [`Status::requested`] repeats the position that was asked for.
+/// `gOBJ`: motion of the fingers. It is outdated until [`Status::requested`] repeats the commanded
+/// position.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Motion {
-    /// On the way.
+    /// Moving.
     Moving,
-    /// Stopped by something while they opened.
+    /// Stopped by an object while opening.
     ContactOpening,
-    /// Stopped by something while they closed.
+    /// Stopped by an object while closing.
     ContactClosing,
-    /// At the position: nothing is held, or it was lost.
+    /// At the position: nothing is held, or the object was lost.
     Arrived,
 }
 
-/// What the gripper says of itself.
+/// Status of the gripper.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Status {
     /// `gACT`: repeats `rACT`.
@@ -98,7 +101,7 @@ pub struct Status {
     pub motion: Motion,
     /// `gFLT`.
     pub fault: Fault,
-    /// `kFLT`: fault of a Robotiq controller; its manual has the numbers. 0 without one.
+    /// `kFLT`: fault number of a Robotiq controller, see its manual; 0 without a controller.
     pub controller_fault: u8,
     /// `gPR`: repeats `rPR`.
     pub requested: u8,
@@ -109,7 +112,7 @@ pub struct Status {
 }
 
 impl Status {
-    /// From the three registers.
+    /// Decodes the three registers.
     #[must_use]
     pub const fn from_registers(registers: [u16; REGISTERS as usize]) -> Self {
         let [[status, _], [fault, requested], [position, current]] =
@@ -138,12 +141,12 @@ impl Status {
     }
 }
 
-/// `gFLT`: a fault by its number.
+/// `gFLT`: fault number.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Fault(pub u8);
 
 impl Fault {
-    /// Whether there is none.
+    /// Whether there is no fault.
     #[must_use]
     pub const fn is_none(self) -> bool {
         self.0 == 0

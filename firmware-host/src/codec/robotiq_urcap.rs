@@ -1,15 +1,16 @@
 //! Text protocol of the Robotiq Gripper URCap on a UR controller, TCP port 63352.
 //!
-//! `SET name value ...` is answered by `ack`, `GET name` by `name value`; lines end with a line feed.
+//! `SET name value ...` is answered by `ack`, and `GET name` by `name value`. Lines end with a line
+//! feed.
 
 use std::fmt;
 
 /// Port of the URCap's server on the controller.
 pub const PORT: u16 = 63352;
-/// No reply is longer: a name, a blank and three digits.
+/// Longest accepted line. Replies are shorter: a name, a blank and three digits.
 const MAX_LINE: usize = 64;
 
-/// A variable of the gripper; values are those of [`super::robotiq`].
+/// Variable of the gripper; values are those of [`super::robotiq`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Variable {
     /// Activate.
@@ -18,7 +19,7 @@ pub enum Variable {
     Gto,
     /// Emergency release.
     Atr,
-    /// Position; when read, the present one.
+    /// Position; reading returns the present one.
     Pos,
     /// Speed.
     Spe,
@@ -26,16 +27,16 @@ pub enum Variable {
     For,
     /// Activation, read only: 0 reset, 1 activating, 3 active.
     Sta,
-    /// Position asked for, read only.
+    /// Commanded position, read only.
     Pre,
-    /// What the fingers do, read only: 0 moving, 1 and 2 stopped by contact, 3 arrived.
+    /// Motion of the fingers, read only: 0 moving, 1 and 2 stopped by contact, 3 arrived.
     Obj,
     /// Fault, read only.
     Flt,
 }
 
 impl Variable {
-    /// Its name on the wire.
+    /// Name in the protocol.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -53,7 +54,7 @@ impl Variable {
     }
 }
 
-/// The line that sets variables, in this order.
+/// Line that sets variables in this order.
 #[must_use]
 pub fn set(values: &[(Variable, u8)]) -> String {
     let pairs: Vec<String> =
@@ -61,18 +62,18 @@ pub fn set(values: &[(Variable, u8)]) -> String {
     format!("SET {}\n", pairs.join(" "))
 }
 
-/// The line that asks for a variable.
+/// Line that reads a variable.
 #[must_use]
 pub fn get(variable: Variable) -> String {
     format!("GET {}\n", variable.name())
 }
 
-/// Why a line does not answer the request.
+/// A line that does not answer the request.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ReplyError {
-    /// What came.
+    /// Line received.
     pub found: String,
-    /// What would be valid.
+    /// Valid line.
     pub expected: String,
 }
 
@@ -84,20 +85,21 @@ impl fmt::Display for ReplyError {
 
 impl std::error::Error for ReplyError {}
 
-/// Collects the bytes of replies and gives them line by line.
+/// Assembles reply lines from received bytes.
 #[derive(Clone, Debug, Default)]
 pub struct LineReader {
     bytes: Vec<u8>,
 }
 
 impl LineReader {
-    /// Takes what came; the next whole line without its end, if there is one. Call again with nothing for more lines.
+    /// Adds received bytes and returns the next complete line without its end, if any. Call again with
+    /// an empty slice for more.
     ///
     /// # Errors
-    /// [`ReplyError`] when a line does not end; its bytes are dropped.
+    /// [`ReplyError`] if a line has no end; its bytes are dropped.
     pub fn push(&mut self, bytes: &[u8]) -> Option<Result<String, ReplyError>> {
         self.bytes.extend_from_slice(bytes);
-        // The reply to SET comes without a line feed from some versions of the URCap.
+        // Some versions of the URCap send the reply to SET without a line feed.
         let end = match self.bytes.iter().position(|&byte| byte == b'\n') {
             Some(end) => end + 1,
             None if self.bytes == b"ack" => self.bytes.len(),
@@ -112,7 +114,7 @@ impl LineReader {
     }
 }
 
-/// Whether a line acknowledges a `SET`.
+/// Checks that a line acknowledges a `SET`.
 ///
 /// # Errors
 /// [`ReplyError`].
@@ -123,7 +125,7 @@ pub fn acknowledged(line: &str) -> Result<(), ReplyError> {
     Err(ReplyError { found: line.to_owned(), expected: "\"ack\"".to_owned() })
 }
 
-/// The value in a line that answers a `GET` of this variable.
+/// Value in a line that answers a `GET` of this variable.
 ///
 /// # Errors
 /// [`ReplyError`].

@@ -1,9 +1,11 @@
-//! HID commands of e-con Systems' Tara stereo camera (See3CAM_Stereo): exposure, stream mode, HDR, calibration files.
+//! HID commands of e-con Systems' Tara stereo camera (See3CAM_Stereo): exposure, stream mode, HDR and
+//! calibration files.
 //!
-//! A command is a report of 64 bytes without a report number; a transport puts the number 0 before it. The camera
-//! answers with a report that repeats the first bytes of the command. Reports of its IMU may come between.
+//! A command is a report of 64 bytes without a report number; the transport prepends the number 0. The
+//! camera answers with a report that repeats the first bytes of the command. Reports of its IMU may
+//! arrive in between.
 //!
-//! Layout after e-con's published SDK 2.0.6 (`xunit_lib_tara.cpp`). No camera was at hand to confirm it.
+//! Layout after e-con's published SDK 2.0.6 (`xunit_lib_tara.cpp`), not confirmed on a camera.
 
 use std::fmt;
 use std::time::Duration;
@@ -12,7 +14,7 @@ use std::time::Duration;
 pub const VENDOR: u16 = 0x2560;
 /// USB product of the Tara.
 pub const PRODUCT: u16 = 0xC114;
-/// Length of the report descriptor of the control interface; that of the IMU's has 23 bytes.
+/// Length of the report descriptor of the control interface; the IMU's has 23 bytes.
 pub const CONTROL_DESCRIPTOR_BYTES: usize = 29;
 /// Length of a report.
 pub const REPORT_BYTES: usize = 64;
@@ -24,20 +26,20 @@ pub const MAX_EXPOSURE_US: u32 = 1_000_000;
 const READ_FIRMWARE: u8 = 0x40;
 const READ_UNIQUE_ID: u8 = 0x41;
 const CAMERA: u8 = 0x78;
-/// Exposure that stands for the camera's own control of it.
+/// Exposure value for automatic control by the camera.
 const AUTO_EXPOSURE: u32 = 1;
 const PACKET_BYTES: usize = 56;
 
 /// Exposure time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Exposure {
-    /// The camera controls it.
+    /// Controlled by the camera.
     Auto,
     /// Fixed, microseconds: [`MIN_EXPOSURE_US`] to [`MAX_EXPOSURE_US`].
     Us(u32),
 }
 
-/// What starts a frame.
+/// Trigger source of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StreamMode {
     /// An external trigger.
@@ -74,12 +76,12 @@ impl fmt::Display for Firmware {
     }
 }
 
-/// A part of a calibration file.
+/// Part of a calibration file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Packet {
-    /// Its number in the file.
+    /// Number in the file.
     pub number: u16,
-    /// Its bytes; those behind the file's end mean nothing.
+    /// Bytes; those beyond the end of the file are undefined.
     pub data: [u8; PACKET_BYTES],
 }
 
@@ -88,15 +90,15 @@ pub struct Packet {
 pub enum Request {
     /// Read the firmware's version.
     Firmware,
-    /// Read the number that is unique to this camera.
+    /// Read the unique number of this camera.
     UniqueId,
     /// Read the exposure time.
     Exposure,
     /// Set the exposure time.
     SetExposure(Exposure),
-    /// Read what starts a frame.
+    /// Read the trigger source.
     StreamMode,
-    /// Set what starts a frame.
+    /// Set the trigger source.
     SetStreamMode(StreamMode),
     /// Read whether high dynamic range is on.
     Hdr,
@@ -108,7 +110,7 @@ pub enum Request {
     CalibrationData(CalibrationFile),
 }
 
-/// An answer of the camera.
+/// Answer of the camera.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reply {
     /// To [`Request::Firmware`].
@@ -127,30 +129,30 @@ pub enum Reply {
     CalibrationData(Packet),
 }
 
-/// Why a command cannot be sent or its answer cannot be used.
+/// A command that cannot be sent, or an answer that cannot be used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TaraError {
-    /// The camera says that the command failed.
+    /// The camera reports that the command failed.
     Refused {
         /// The command.
         command: &'static str,
-        /// The status that it sent; 1 is success.
+        /// Status sent by the camera; 1 is success.
         status: u8,
     },
-    /// A value has no meaning.
+    /// A value is invalid.
     Value {
-        /// Which.
+        /// Name of the value.
         name: &'static str,
-        /// What was found.
+        /// Value found.
         found: u32,
-        /// What would be valid.
+        /// Valid values.
         valid: &'static str,
     },
-    /// A packet of a calibration file is missing or came twice.
+    /// A packet of a calibration file is missing or duplicated.
     Packet {
-        /// The number that should have come.
+        /// Expected number.
         expected: u16,
-        /// The one that came.
+        /// Received number.
         found: u16,
     },
 }
@@ -173,10 +175,10 @@ impl fmt::Display for TaraError {
 impl std::error::Error for TaraError {}
 
 impl Exposure {
-    /// What is valid, in words.
+    /// Valid values, in words.
     pub const VALID: &'static str = "1 (automatic) or 10 to 1000000 us";
 
-    /// Reads the number that commands and settings use: 1 for automatic, else microseconds.
+    /// Decodes the number that commands and settings use: 1 for automatic, else microseconds.
     ///
     /// # Errors
     /// [`TaraError::Value`].
@@ -188,7 +190,7 @@ impl Exposure {
         }
     }
 
-    /// The number that commands and settings use.
+    /// Number that commands and settings use.
     #[must_use]
     pub fn us(self) -> u32 {
         match self {
@@ -199,7 +201,7 @@ impl Exposure {
 }
 
 impl Request {
-    /// What the command does, for error messages: "the camera refuses to ...".
+    /// Action of the command, for error messages: "the camera refuses to ...".
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -216,7 +218,7 @@ impl Request {
         }
     }
 
-    /// How long the camera may take for the answer, as in e-con's SDK.
+    /// Longest time to wait for the answer, as in e-con's SDK.
     #[must_use]
     pub fn timeout(self) -> Duration {
         match self {
@@ -225,7 +227,7 @@ impl Request {
         }
     }
 
-    /// The first two bytes of the command, which its answer repeats; one for the commands that have one.
+    /// First bytes of the command, which its answer repeats: two, or one for commands without a second.
     fn prefix(&self) -> (u8, Option<u8>) {
         match self {
             Self::Firmware => (READ_FIRMWARE, None),
@@ -244,7 +246,7 @@ impl Request {
     /// The report to send.
     ///
     /// # Errors
-    /// [`TaraError::Value`] for an exposure that the camera does not have.
+    /// [`TaraError::Value`] for an exposure that the camera does not support.
     pub fn encode(self) -> Result<[u8; REPORT_BYTES], TaraError> {
         let mut report = [0; REPORT_BYTES];
         let (first, second) = self.prefix();
@@ -263,10 +265,10 @@ impl Request {
         Ok(report)
     }
 
-    /// Reads a report that came after the command was sent; `None` if it does not answer it.
+    /// Decodes a report received after the command; `None` if it does not answer the command.
     ///
     /// # Errors
-    /// [`TaraError`] if the camera refused the command or sent a value without meaning.
+    /// [`TaraError`] if the camera refused the command or sent an invalid value.
     pub fn decode(self, report: &[u8]) -> Result<Option<Reply>, TaraError> {
         let Ok(report) = <&[u8; REPORT_BYTES]>::try_from(report) else {
             return Ok(None);
@@ -334,7 +336,7 @@ impl StreamMode {
     }
 }
 
-/// A calibration file as its packets come in.
+/// Assembles a calibration file from its packets.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Assembly {
     length: usize,
@@ -343,19 +345,20 @@ pub struct Assembly {
 }
 
 impl Assembly {
-    /// A file of `length` bytes, of which nothing has come yet.
+    /// Empty file of `length` bytes.
     #[must_use]
     pub fn new(length: u16) -> Self {
         Self { length: usize::from(length), bytes: Vec::with_capacity(usize::from(length)), next: None }
     }
 
-    /// Whether all bytes have come.
+    /// Whether all bytes have been received.
     #[must_use]
     pub fn is_complete(&self) -> bool {
         self.bytes.len() == self.length
     }
 
-    /// Adds the next packet. The SDK does not say whether the first one has number 0 or 1: both are taken.
+    /// Adds the next packet. The SDK does not specify whether numbering starts at 0 or 1, so both are
+    /// accepted.
     ///
     /// # Errors
     /// [`TaraError::Packet`].
@@ -370,13 +373,13 @@ impl Assembly {
         Ok(())
     }
 
-    /// What has come.
+    /// Bytes received so far.
     #[must_use]
     pub fn bytes(&self) -> &[u8] {
         &self.bytes
     }
 
-    /// The file.
+    /// The received bytes.
     #[must_use]
     pub fn into_bytes(self) -> Vec<u8> {
         self.bytes

@@ -1,14 +1,15 @@
-//! Binary protocol of Weiss Robotics' WSG 50 (its command set reference manual): frames, commands and replies.
+//! Binary protocol of Weiss Robotics' WSG 50 (command set reference manual): frames, commands and
+//! replies.
 //!
 //! A frame is a preamble, a command number, a length, the payload and a checksum; numbers are little-endian.
 
 use std::fmt;
 
-/// Three bytes that start every frame.
+/// Start of every frame.
 const PREAMBLE: [u8; 3] = [0xAA; 3];
 /// Preamble, command number, length.
 const HEADER: usize = 6;
-/// The longest payload that is accepted: the gripper's own replies are far shorter.
+/// Longest accepted payload; the gripper's replies are far shorter.
 const MAX_PAYLOAD: usize = 1024;
 
 /// `E_SUCCESS`.
@@ -16,10 +17,10 @@ pub const SUCCESS: u16 = 0;
 /// `E_CMD_PENDING`: another reply follows when the command is complete.
 pub const PENDING: u16 = 0x001A;
 
-/// CRC of a frame up to its payload, started at 0xFFFF.
+/// CRC of a frame up to its payload, initial value 0xFFFF.
 ///
-/// The table is CCITT's (polynomial 0x1021, most significant bit first), but the register is shifted to the right, so
-/// that no standard CRC gives these values.
+/// The table is CCITT's (polynomial 0x1021, most significant bit first), but the register is shifted to
+/// the right. No standard CRC gives these values.
 #[must_use]
 pub fn crc(bytes: &[u8]) -> u16 {
     bytes.iter().fold(0xFFFF, |crc, &byte| table_entry(crc as u8 ^ byte) ^ crc >> 8)
@@ -37,7 +38,7 @@ fn table_entry(index: u8) -> u16 {
 /// A command to the gripper.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Command {
-    /// Find the reference position.
+    /// Reference the fingers.
     Home,
     /// Move the fingers.
     PrePosition {
@@ -45,12 +46,12 @@ pub enum Command {
         width_mm: f32,
         /// Speed.
         speed_mm_s: f32,
-        /// Stop, instead of reporting a fault, when something is in the way.
+        /// On an obstacle, stop instead of reporting a fault.
         stop_on_block: bool,
     },
-    /// Stop where the fingers are.
+    /// Stop at the present position.
     Stop,
-    /// Stop at once; [`Command::AcknowledgeFault`] before the next move.
+    /// Stop immediately; [`Command::AcknowledgeFault`] is required before the next move.
     FastStop,
     /// Leave the fault state.
     AcknowledgeFault,
@@ -63,7 +64,7 @@ pub enum Command {
     },
     /// Release the part.
     Release {
-        /// Opening at the end.
+        /// Opening after the release.
         width_mm: f32,
         /// Speed.
         speed_mm_s: f32,
@@ -73,18 +74,18 @@ pub enum Command {
         /// The limit.
         force_n: f32,
     },
-    /// Ask for the opening once.
+    /// Read the opening once.
     GetOpening,
-    /// Ask for the grasping force once.
+    /// Read the grasping force once.
     GetForce,
-    /// Ask for the grasping state once.
+    /// Read the grasping state once.
     GetGraspState,
-    /// Ask for the system's flags once.
+    /// Read the system flags once.
     GetSystemState,
 }
 
 impl Command {
-    /// Its number.
+    /// Command number.
     #[must_use]
     pub const fn id(&self) -> u8 {
         match self {
@@ -103,10 +104,10 @@ impl Command {
         }
     }
 
-    /// The frame that carries it.
+    /// Encodes the frame of the command.
     #[must_use]
     pub fn encode(&self) -> Vec<u8> {
-        // No automatic updates: the flag, and a period of no meaning.
+        // No automatic updates: a flag, and a period that is then ignored.
         const ONCE: [u8; 3] = [0; 3];
         let floats =
             |values: &[f32]| values.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>();
@@ -127,7 +128,7 @@ impl Command {
     }
 }
 
-/// A frame with any command number and payload.
+/// Encodes a frame with any command number and payload.
 #[must_use]
 pub fn frame(id: u8, payload: &[u8]) -> Vec<u8> {
     let mut bytes = PREAMBLE.to_vec();
@@ -141,11 +142,11 @@ pub fn frame(id: u8, payload: &[u8]) -> Vec<u8> {
 /// A frame from the gripper.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Reply {
-    /// Number of the command that it answers.
+    /// Number of the answered command.
     pub id: u8,
     /// [`SUCCESS`], [`PENDING`] or a fault.
     pub status: u16,
-    /// What follows the status.
+    /// Data after the status.
     pub data: Vec<u8>,
 }
 
@@ -156,10 +157,10 @@ impl Reply {
         Some(f32::from_le_bytes(self.data.as_slice().try_into().ok()?))
     }
 
-    /// Whether the command is done.
+    /// Whether the command is complete.
     ///
     /// # Errors
-    /// [`WsgError::Refused`] when the status is a fault.
+    /// [`WsgError::Refused`] if the status is a fault.
     pub const fn is_done(&self) -> Result<bool, WsgError> {
         match self.status {
             SUCCESS => Ok(true),
@@ -169,26 +170,26 @@ impl Reply {
     }
 }
 
-/// Why there is no reply.
+/// Reason for a missing reply.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum WsgError {
     /// The gripper refused the command.
     Refused {
-        /// The command's number.
+        /// Command number.
         id: u8,
-        /// The gripper's status.
+        /// Status of the gripper.
         status: u16,
     },
     /// A frame has the wrong checksum.
     Checksum {
-        /// In the frame.
+        /// CRC in the frame.
         found: u16,
-        /// Of its bytes.
+        /// CRC computed from its bytes.
         expected: u16,
     },
     /// A frame is too short for a status, or too long.
     Length {
-        /// Bytes of its payload.
+        /// Length of its payload, bytes.
         found: usize,
     },
 }
@@ -211,7 +212,7 @@ impl fmt::Display for WsgError {
 
 impl std::error::Error for WsgError {}
 
-/// The status codes of the manual's appendix.
+/// Status code in words (appendix of the manual).
 fn status_in_words(status: u16) -> String {
     let words = match status {
         1 => "the device is not available",
@@ -248,15 +249,15 @@ fn status_in_words(status: u16) -> String {
     format!("{words} (status {status:#06x})")
 }
 
-/// Collects the bytes of replies as they come.
+/// Assembles replies from received bytes.
 #[derive(Clone, Debug, Default)]
 pub struct ReplyReader {
     bytes: Vec<u8>,
 }
 
 impl ReplyReader {
-    /// Takes what came; the next whole reply, if there is one. Call again with nothing for more replies. Bytes that
-    /// start no frame are passed over.
+    /// Adds received bytes and returns the next complete reply, if any. Call again with an empty slice
+    /// for more. Bytes that start no frame are skipped.
     ///
     /// # Errors
     /// [`WsgError::Checksum`] or [`WsgError::Length`]; the frame is dropped.

@@ -1,4 +1,4 @@
-//! Who may use a device node, and what to do when this user may not.
+//! Checks access to a device node and gives advice if this user lacks it.
 
 use super::roots::Roots;
 use std::path::Path;
@@ -8,7 +8,7 @@ use std::path::Path;
 pub struct Permissions {
     /// Permission bits.
     pub mode: u32,
-    /// Number of its group.
+    /// Group number.
     pub gid: u32,
 }
 
@@ -17,16 +17,16 @@ pub struct Permissions {
 pub enum Access {
     /// Yes.
     Allowed,
-    /// No, and what to do.
+    /// No, with advice.
     Denied {
-        /// In one sentence, with the command or the rule.
+        /// Advice in one sentence, with the command or the rule.
         advice: String,
     },
     /// The node does not exist.
     Absent,
 }
 
-/// How udev tells a device.
+/// Criteria of a udev rule for a device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct UdevMatch<'a> {
     /// Kernel subsystem, such as `hidraw`.
@@ -35,7 +35,7 @@ pub struct UdevMatch<'a> {
     pub usb: Option<(&'a str, &'a str)>,
 }
 
-/// Tries whether this user may read and write a node; the system's lists of permissions are counted.
+/// Tests whether this user may read and write a node, including access control lists.
 #[cfg(unix)]
 #[must_use]
 pub fn access(roots: &Roots, node: &Path, device: UdevMatch<'_>) -> Access {
@@ -49,19 +49,19 @@ pub fn access(roots: &Roots, node: &Path, device: UdevMatch<'_>) -> Access {
     Access::Denied { advice: advise(permissions, group.as_deref(), device, node) }
 }
 
-/// Elsewhere nothing is known of it.
+/// Not checked on other systems.
 #[cfg(not(unix))]
 #[must_use]
 pub fn access(_roots: &Roots, _node: &Path, _device: UdevMatch<'_>) -> Access {
     Access::Allowed
 }
 
-/// What gives a user access.
+/// Advice to gain access.
 #[must_use]
 pub fn advise(permissions: Permissions, group: Option<&str>, device: UdevMatch<'_>, node: &Path) -> String {
     const GROUP_MAY: u32 = 0o060;
     match group {
-        // Nobody is put into root's group for the sake of a camera.
+        // Never advise joining root's group.
         Some(group) if permissions.gid != 0 && permissions.mode & GROUP_MAY == GROUP_MAY => format!(
             "only the group {group} may use it: run `sudo usermod -aG {group} $USER` and log in again"
         ),
@@ -78,7 +78,7 @@ fn udev_rule(device: UdevMatch<'_>, node: &Path) -> String {
         Some((vendor, product)) => {
             format!("ATTRS{{idVendor}}==\"{vendor}\", ATTRS{{idProduct}}==\"{product}\"")
         }
-        // A rule for the whole subsystem would open consoles too.
+        // A rule for the whole subsystem would also open consoles.
         None => format!("KERNEL==\"{}\"", node.file_name().unwrap_or_default().to_string_lossy()),
     };
     format!("SUBSYSTEM==\"{}\", {which}, MODE=\"0660\", TAG+=\"uaccess\"", device.subsystem)

@@ -7,10 +7,10 @@ use std::time::{Duration, Instant};
 
 /// Long enough for the first frame of a slow camera and some tens of frames after it.
 const TRIAL: Duration = Duration::from_secs(3);
-/// A camera that gives less than this share of the rate asked for is slowed down by exposure, bus or load.
+/// A camera below this fraction of the requested rate is slowed down by exposure, bus or load.
 const MIN_RATE_SHARE: f64 = 0.9;
 
-/// Takes pairs for some seconds.
+/// Captures pairs for some seconds.
 pub(super) fn examine(config: &CameraConfig) -> Finding {
     const SUBJECT: &str = "capture";
     let mut source = match CameraSource::open(config) {
@@ -29,7 +29,7 @@ pub(super) fn examine(config: &CameraConfig) -> Finding {
     judge(&source.statistics(), config.frame_rate_hz, last_event)
 }
 
-/// From what was measured and the rate that was asked for.
+/// Finding from the measurement and the requested rate.
 pub(super) fn judge(measured: &CameraStatistics, asked_hz: f64, last_event: Option<String>) -> Finding {
     const SUBJECT: &str = "capture";
     let last = last_event.map_or(String::new(), |event| format!("; at last: {event}"));

@@ -1,4 +1,4 @@
-//! Whether clocks can be trusted: the monotonic one that stamps frames, and the wall clock that names recordings.
+//! Checks the clocks: the monotonic one for frame timestamps and the wall clock for names of recordings.
 
 use super::roots::{Roots, text};
 use crate::finding::Finding;
@@ -10,7 +10,7 @@ pub(super) fn examine(roots: &Roots) -> Vec<Finding> {
     vec![monotonic(roots), wall(roots, SystemTime::now(), built)]
 }
 
-/// Readings that are compared with each other.
+/// Number of consecutive readings to compare.
 const READINGS: usize = 1000;
 
 #[cfg(unix)]
@@ -32,7 +32,7 @@ fn monotonic(roots: &Roots) -> Finding {
     }
     let found = format!("CLOCK_MONOTONIC never goes back, resolution {resolution_ns} ns{by}");
     match source.as_deref() {
-        // They are read through the bus or count timer interrupts: microseconds to milliseconds.
+        // They are read over the bus or count timer interrupts: microseconds to milliseconds.
         Some("hpet" | "acpi_pm" | "jiffies" | "refined-jiffies") => Finding::warn(
             SUBJECT,
             found,
@@ -47,7 +47,8 @@ fn monotonic(_roots: &Roots) -> Finding {
     Finding::ok("clock", "the system's own monotonic clock")
 }
 
-/// A wall clock earlier than this program's file is wrong. What keeps it right is told by the files of the services that do.
+/// A wall clock earlier than this program's file is wrong. Files of the time services show which one
+/// keeps it right.
 fn wall(roots: &Roots, now: SystemTime, built: Option<SystemTime>) -> Finding {
     const SUBJECT: &str = "wall clock";
     let utc = humantime::format_rfc3339_seconds(now);
@@ -68,7 +69,7 @@ fn wall(roots: &Roots, now: SystemTime, built: Option<SystemTime>) -> Finding {
     }
 }
 
-/// The service that keeps the wall clock.
+/// The service that synchronises the wall clock.
 fn keeper(roots: &Roots) -> Option<&'static str> {
     let services = [
         ("systemd/timesync/synchronized", "systemd-timesyncd"),

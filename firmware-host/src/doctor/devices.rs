@@ -1,4 +1,4 @@
-//! Cameras, serial ports and HID devices that are connected, and whether this user may use them.
+//! Lists connected cameras, serial ports and HID devices, and checks whether this user may use them.
 
 use super::access::{Access, UdevMatch, access};
 use super::roots::{Roots, link_name};
@@ -10,7 +10,7 @@ use crate::hid::{self, HidInfo};
 use serde::Serialize;
 use std::path::Path;
 
-/// A camera with what sysfs and its driver say of it.
+/// A camera with its data from sysfs and the driver.
 #[derive(Clone, Debug, Serialize)]
 pub struct CameraEntry {
     /// Name, path and serial number.
@@ -18,22 +18,22 @@ pub struct CameraEntry {
     pub info: CameraInfo,
     /// Kernel driver.
     pub driver: Option<String>,
-    /// Formats and sizes that it offers, as far as it could be asked.
+    /// Formats and sizes, as far as the camera could be queried.
     pub formats: Vec<String>,
 }
 
-/// What is connected.
+/// Connected devices.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Inventory {
     /// Video nodes.
     pub cameras: Vec<CameraEntry>,
     /// Serial ports.
     pub serial_ports: Vec<SerialPort>,
-    /// HID devices, in words.
+    /// Descriptions of HID devices.
     pub hid_devices: Vec<String>,
 }
 
-/// Findings about all of them.
+/// Findings about all devices.
 pub(super) fn examine(roots: &Roots) -> (Inventory, Vec<Finding>) {
     let mut findings = Vec::new();
     let cameras = cameras(roots, &mut findings);
@@ -90,7 +90,7 @@ fn camera_finding(roots: &Roots, entry: &CameraEntry) -> Finding {
     }
 }
 
-/// The serial ports, with those that this user may not use.
+/// Findings about the serial ports, with those that this user may not use.
 pub(super) fn serial_findings(roots: &Roots, ports: &[SerialPort]) -> Vec<Finding> {
     const SUBJECT: &str = "serial ports";
     if ports.is_empty() {
@@ -99,7 +99,7 @@ pub(super) fn serial_findings(roots: &Roots, ports: &[SerialPort]) -> Vec<Findin
     ports.iter().map(|port| serial_finding(roots, port)).collect()
 }
 
-/// Grippers that are asked at 100 Hz and more cannot wait for the usual 16 ms.
+/// Grippers polled at 100 Hz and more cannot wait for the usual 16 ms.
 const MAX_LATENCY_TIMER_MS: u32 = 2;
 
 fn serial_finding(roots: &Roots, port: &SerialPort) -> Finding {
@@ -142,7 +142,7 @@ fn hid_finding(roots: &Roots, device: &HidInfo, node: &Path) -> Finding {
     let known = [(tara::VENDOR, tara::PRODUCT), (blink1::VENDOR, blink1::PRODUCT)]
         .contains(&(device.vendor, device.product));
     match access(roots, node, UdevMatch { subsystem: "hidraw", usb: Some((&vendor, &product)) }) {
-        // Keyboards and mice are nobody's business here.
+        // Keyboards and mice are irrelevant here.
         Access::Denied { advice } if known => Finding::warn(SUBJECT, device.to_string(), advice),
         _ => Finding::ok(SUBJECT, device.to_string()),
     }

@@ -1,4 +1,4 @@
-//! How fast the recording's disk takes data, measured.
+//! Measures the write rate of the recording's disk.
 
 use crate::check::disk::{RecordingNeed, existing, folder_of, free_bytes};
 use crate::config::Config;
@@ -8,14 +8,15 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// The trial ends after so much data or so long, whichever comes first. Shorter ones mostly measure caches.
+/// The trial ends after this much data or time, whichever comes first. Shorter trials mostly measure
+/// caches.
 const MAX_TRIAL_BYTES: u64 = 256 << 20;
 const MAX_TRIAL: Duration = Duration::from_secs(1);
 const BLOCK_BYTES: usize = 1 << 20;
-/// A disk this many times as fast as needed has room for the system's other work.
+/// Required ratio of disk rate to data rate, as a reserve for the system's other work.
 const RESERVE: f64 = 2.0;
 
-/// Measures the disk that the recording would go to.
+/// Measures the disk of the recording.
 pub(super) fn examine(config: &Config) -> Finding {
     const SUBJECT: &str = "disk";
     let folder = existing(folder_of(&config.recording.path));
@@ -35,7 +36,7 @@ pub(super) fn examine(config: &Config) -> Finding {
     judge(found, &needed, rate / need.max_bytes_per_s)
 }
 
-/// From how many times as fast as needed the disk is.
+/// Finding from the ratio of measured to required rate.
 fn judge(found: String, needed: &str, ratio: f64) -> Finding {
     const SUBJECT: &str = "disk";
     let found = format!("{found}; {needed}");
@@ -45,21 +46,21 @@ fn judge(found: String, needed: &str, ratio: f64) -> Finding {
     Finding::ok(SUBJECT, found)
 }
 
-/// A file that is removed whatever happens.
+/// A file that is always removed.
 struct Trial(PathBuf);
 
 impl Drop for Trial {
     fn drop(&mut self) {
-        // Nothing can be done about a file that cannot be removed any more.
+        // A failure to remove the file cannot be handled here.
         let _ = std::fs::remove_file(&self.0);
     }
 }
 
-/// Bytes per second, until they are on the disk.
+/// Write rate in bytes per second, including the sync to disk.
 fn write_rate(folder: &Path) -> io::Result<f64> {
     let trial = Trial(folder.join(format!(".gelstereo-host-doctor-{}", std::process::id())));
     let mut file: File = OpenOptions::new().write(true).create_new(true).open(&trial.0)?;
-    // Zeros would be taken for nothing by some disks.
+    // Zeros would be optimised away by some disks.
     let mut state = 1u64;
     let block: Vec<u8> = (0..BLOCK_BYTES)
         .map(|_| {

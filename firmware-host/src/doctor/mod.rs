@@ -1,4 +1,4 @@
-//! What is connected, who may use it, how fast camera and disk are, and whether `run` would start.
+//! Diagnosis: connected devices, permissions, camera and disk speed, and whether `run` would start.
 
 mod access;
 mod capture;
@@ -22,19 +22,19 @@ use crate::config::{Config, SourceConfig};
 use crate::finding::{Finding, all_right};
 use serde::Serialize;
 
-/// What was found.
+/// Result of the diagnosis.
 #[derive(Clone, Debug, Serialize)]
 pub struct Diagnosis {
     /// Whether `run` would start with this configuration.
     pub run_would_start: bool,
-    /// Point by point.
+    /// Individual findings.
     pub findings: Vec<Finding>,
-    /// What is connected.
+    /// Connected devices.
     pub connected: Inventory,
 }
 
-/// Looks at the computer and what is connected, and checks the configuration. Nothing moves; a camera is opened for some
-/// seconds, the configured one or `camera`.
+/// Examines the computer and its devices and checks the configuration. Nothing moves; the configured
+/// camera or `camera` is opened for some seconds.
 #[must_use]
 pub fn examine(config: &Config, camera: Option<&CameraConfig>, roots: &Roots) -> Diagnosis {
     let (connected, mut findings) = devices::examine(roots);

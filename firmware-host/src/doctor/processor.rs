@@ -1,9 +1,9 @@
-//! Whether the processor runs at its full speed when a frame comes.
+//! Checks whether the processor runs at full speed when a frame comes.
 
 use super::roots::{Roots, names, text};
 use crate::finding::Finding;
 
-/// Cores, and how their frequency is chosen.
+/// Cores and frequency governor.
 pub(super) fn examine(roots: &Roots) -> Finding {
     const SUBJECT: &str = "processor";
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
@@ -14,7 +14,7 @@ pub(super) fn examine(roots: &Roots) -> Finding {
     let mut governors: Vec<String> = names(&cpus).into_iter().filter(is_cpu).filter_map(governor).collect();
     governors.dedup();
     let driver = text(&cpus.join("cpu0/cpufreq/scaling_driver")).unwrap_or_default();
-    // These two drivers choose the frequency in hardware, and call that "powersave" too.
+    // These two drivers set the frequency in hardware, also under the governor "powersave".
     let in_hardware = driver == "intel_pstate" || driver == "amd-pstate-epp";
     if governors.is_empty() {
         return Finding::ok(SUBJECT, format!("{found}; the system chooses no frequency"));

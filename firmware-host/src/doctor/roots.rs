@@ -1,8 +1,8 @@
-//! Where the system describes itself.
+//! Root folders of system information.
 
 use std::path::{Path, PathBuf};
 
-/// The folders that are read. Tests give others.
+/// Folders that are read. Tests use others.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Roots {
     /// `/sys`.
@@ -22,7 +22,7 @@ impl Default for Roots {
     }
 }
 
-/// A file's text without its line end; none where it is absent or empty.
+/// Text of a file without its line end; `None` if it is missing or empty.
 pub(super) fn text(path: &Path) -> Option<String> {
     let text = std::fs::read_to_string(path).ok()?;
     Some(text.trim().to_owned()).filter(|text| !text.is_empty())
@@ -36,7 +36,7 @@ pub(super) fn names(folder: &Path) -> Vec<String> {
     names
 }
 
-/// Last part of what a link refers to: the driver of a device.
+/// Last part of a link's target: the driver of a device.
 pub(super) fn link_name(link: &Path) -> Option<String> {
     let target = std::fs::read_link(link).ok()?;
     Some(target.file_name()?.to_string_lossy().into_owned())

@@ -1,22 +1,22 @@
-//! Serial ports, as sysfs lists them.
+//! Lists serial ports from sysfs.
 
 use super::roots::{Roots, link_name, names, text};
 use super::usb::UsbIdentity;
 use serde::Serialize;
 use std::path::PathBuf;
 
-/// A serial port that a device may be at.
+/// A serial port that may connect a device.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct SerialPort {
-    /// Its node, `/dev/ttyUSB0`.
+    /// Device node, `/dev/ttyUSB0`.
     pub path: PathBuf,
-    /// A name that stays the same whichever port is plugged in first, below `/dev/serial/by-id`.
+    /// Name below `/dev/serial/by-id` that does not depend on the order of connection.
     pub by_id: Option<PathBuf>,
     /// Kernel driver.
     pub driver: String,
-    /// The USB adapter, if it is one.
+    /// USB adapter, if it is one.
     pub usb: Option<UsbIdentity>,
-    /// How long the adapter waits for more bytes before it sends on what it has. FTDI only, milliseconds.
+    /// Time that the adapter waits for more bytes before it sends. FTDI only, milliseconds.
     pub latency_timer_ms: Option<u32>,
 }
 
@@ -33,7 +33,7 @@ impl std::fmt::Display for SerialPort {
     }
 }
 
-/// All serial ports with hardware behind them, in natural order of their names.
+/// All serial ports with hardware, in natural order of their names.
 #[must_use]
 pub fn serial_ports(roots: &Roots) -> Vec<SerialPort> {
     let class = roots.sys.join("class/tty");
@@ -42,7 +42,7 @@ pub fn serial_ports(roots: &Roots) -> Vec<SerialPort> {
 
 fn port(roots: &Roots, name: &str) -> Option<SerialPort> {
     let node = roots.sys.join("class/tty").join(name);
-    // Consoles and pseudo-terminals have no device; of a PC's four standard ports most have none but a placeholder.
+    // Consoles and pseudo-terminals have no device; most of a PC's four standard ports are placeholders.
     let driver = link_name(&node.join("device/driver"))?;
     if text(&node.join("type")).as_deref() == Some("0") {
         return None;

@@ -1,10 +1,10 @@
-//! The USB device that a node belongs to.
+//! Finds the USB device of a node.
 
 use super::roots::text;
 use serde::Serialize;
 use std::path::Path;
 
-/// How a USB device names itself.
+/// Identity reported by a USB device.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct UsbIdentity {
     /// Vendor, four hexadecimal digits.
@@ -13,14 +13,14 @@ pub struct UsbIdentity {
     pub product_id: String,
     /// Serial number.
     pub serial: Option<String>,
-    /// Manufacturer in words.
+    /// Manufacturer name.
     pub manufacturer: Option<String>,
-    /// Product in words.
+    /// Product name.
     pub product: Option<String>,
 }
 
 impl UsbIdentity {
-    /// Of the device above a folder of sysfs, whose links are resolved.
+    /// Identity of the USB device above a sysfs folder, whose links are resolved.
     #[must_use]
     pub fn above(folder: &Path) -> Option<Self> {
         let folder = folder.canonicalize().ok()?;

@@ -1,4 +1,4 @@
-//! Which gripper, as a configuration says it, and its driver.
+//! Gripper configuration, and the driver for each kind.
 
 use super::line::{self, Line};
 use super::onrobot::{self, OnRobot};
@@ -136,7 +136,7 @@ pub enum RobotiqModel {
 }
 
 impl RobotiqModel {
-    /// Slowest and fastest speed, by the vendor's documents.
+    /// Slowest and fastest speed according to the vendor's documents.
     const fn speed_mm_s(self) -> (f64, f64) {
         match self {
             Self::TwoFinger85 | Self::HandE => (20.0, 150.0),
@@ -144,9 +144,9 @@ impl RobotiqModel {
         }
     }
 
-    /// A straight line from the position of an open gripper to that of a closed one, as the vendor's driver has it, and
-    /// how far the opening may be from it. The linkage of the 2F models bows by 2.9 mm of 85 in the middle of the
-    /// stroke; end stops differ by three counts from gripper to gripper.
+    /// Straight line from the open to the closed position, as in the vendor's driver, with the largest
+    /// error of the opening. The linkage of the 2F models deviates by 2.9 mm of 85 in the middle of the
+    /// stroke; end stops differ by three counts between grippers.
     fn widths(self) -> Result<WidthTable, GripperError> {
         let (stroke_mm, max_error_mm) = match self {
             Self::TwoFinger85 => (85.0, 4.0),
@@ -168,13 +168,13 @@ pub enum OnRobotModel {
     Rg6,
 }
 
-/// A status takes 2 ms on a serial line at 115200 baud, and up to 16 ms more through a USB adapter's latency timer.
+/// A status takes 2 ms on a serial line at 115200 baud, plus up to 16 ms of a USB adapter's latency timer.
 const REPLY_TIMEOUT: Duration = Duration::from_millis(100);
-/// The Compute Box and the URCap answer through another computer.
+/// The Compute Box and the URCap reply through another computer.
 const NETWORK_TIMEOUT: Duration = Duration::from_millis(300);
 
 impl GripperConfig {
-    /// Where a real gripper is connected: a serial port's path, or `tcp://host:port`.
+    /// Port of a real gripper: a serial port's path, or `tcp://host:port`.
     #[must_use]
     pub fn port(&self) -> Option<&str> {
         match self {
@@ -188,7 +188,7 @@ impl GripperConfig {
         }
     }
 
-    /// Rate of a serial port; TCP connections have none.
+    /// Baud rate of a serial port; TCP connections have none.
     const fn baud_rate(&self) -> u32 {
         match self {
             Self::Simulated | Self::RobotiqUrcap { .. } | Self::OnRobot { .. } => 0,
@@ -199,7 +199,7 @@ impl GripperConfig {
         }
     }
 
-    /// Opens the port of a real gripper; nothing moves. `None` for the simulated one.
+    /// Opens the port of a real gripper without moving it. `None` for the simulated one.
     ///
     /// # Errors
     /// [`GripperError::Port`].
@@ -210,10 +210,10 @@ impl GripperConfig {
         self.driver(line::open(port, self.baud_rate())?)
     }
 
-    /// The driver on an open line. `None` for the simulated gripper.
+    /// Driver on an open line. `None` for the simulated gripper.
     ///
     /// # Errors
-    /// [`GripperError::Device`] when the model's own table is none.
+    /// [`GripperError::Device`] if the model's own width table is invalid.
     pub fn driver(&self, line: Box<dyn Line>) -> Result<Option<Box<dyn Gripper + Send>>, GripperError> {
         let widths = |given: &Option<WidthTable>, model: RobotiqModel| match given {
             Some(table) => Ok(table.clone()),

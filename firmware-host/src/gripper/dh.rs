@@ -6,34 +6,34 @@ use crate::codec::modbus::Request;
 const INITIALISE: u16 = 0x0100;
 const CLOSING_FORCE: u16 = 0x0101;
 const POSITION: u16 = 0x0103;
-/// Not 0x0102, which is the opening force of the PGE-2, though some drivers write the speed there.
+/// 0x0102 is the opening force of the PGE-2, though some drivers write the speed there.
 const SPEED: u16 = 0x0104;
-/// State of initialisation, of the grip, and position: three registers.
+/// State of initialisation, state of the grip, and position: three registers.
 const STATE: u16 = 0x0200;
 
-/// `INITIALISE`: find the end stops, opening and closing once.
+/// `INITIALISE`: find the end stops by opening and closing once.
 const FULL: u16 = 0xA5;
 const INITIALISED: u16 = 1;
 const MOVING: u16 = 0;
 const CAUGHT: u16 = 2;
 const DROPPED: u16 = 3;
 
-/// Force and speed are per cent of the largest; the manual's least force is 20 %.
+/// Force and speed are percentages of the largest; the manual's smallest force is 20 %.
 const PERCENT: f64 = 100.0;
 const MIN_FORCE_PERCENT: f64 = 20.0;
 
-/// A driver of one gripper.
+/// Driver of one gripper.
 pub struct DhRobotics {
     master: Master,
     widths: WidthTable,
-    /// Absent for the AG-95, whose speed cannot be set.
+    /// `None` for the AG-95, whose speed cannot be set.
     speed_mm_s: Option<(f64, f64)>,
     target: Option<u16>,
     initialising: Option<Activating>,
 }
 
 impl DhRobotics {
-    /// On a Modbus RTU line. `widths` maps the position, 0 to 1000, to the opening.
+    /// Driver on a Modbus RTU line. `widths` maps the position, 0 to 1000, to the opening.
     #[must_use]
     pub const fn new(master: Master, widths: WidthTable, speed_mm_s: Option<(f64, f64)>) -> Self {
         Self { master, widths, speed_mm_s, target: None, initialising: None }
@@ -49,7 +49,7 @@ impl DhRobotics {
 }
 
 impl Gripper for DhRobotics {
-    /// Does nothing where the gripper is initialised: a second time would drop what it holds.
+    /// Does nothing if the gripper is already initialised: repeating it would drop a held object.
     fn activate(&mut self) -> Result<(), GripperError> {
         let [initialised, grip, position] = self.state()?;
         if initialised == INITIALISED {
@@ -76,14 +76,15 @@ impl Gripper for DhRobotics {
             self.write(SPEED, (1.0 + speed * (PERCENT - 1.0)).round() as u16)?;
         }
         self.write(CLOSING_FORCE, force as u16)?;
-        // Writing the position moves at once, so that it comes last.
+        // Writing the position starts the move, so it comes last.
         let target = count.round() as u16;
         self.write(POSITION, target)?;
         self.target = Some(target);
         Ok(())
     }
 
-    /// The protocol has no stop: the gripper is sent to where it is, also while it is initialised.
+    /// The protocol has no stop command: the present position becomes the target, also during
+    /// initialisation.
     fn stop(&mut self) -> Result<(), GripperError> {
         let [_, grip, position] = self.state()?;
         if self.initialising.take().is_some() {

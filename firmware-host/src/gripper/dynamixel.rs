@@ -1,4 +1,5 @@
-//! A gripper of one Dynamixel X servo (XL330, XC330, XM430 ...), protocol 2.0, in current-based position control.
+//! Gripper with one Dynamixel X servo (XL330, XC330, XM430 ...), protocol 2.0, in current-based position
+//! control.
 
 use super::line::Line;
 use super::servo;
@@ -18,15 +19,15 @@ mod address {
     pub const STATE: u16 = 122;
 }
 
-/// `OPERATING_MODE`: position with a limit on the current, so that the grip has a force.
+/// `OPERATING_MODE`: position control with a current limit, which sets the grip force.
 const CURRENT_BASED_POSITION: u8 = 5;
-/// Unit of `PROFILE_VELOCITY`, turns a minute.
+/// Unit of `PROFILE_VELOCITY`, turns per minute.
 const VELOCITY_UNIT_RPM: f64 = 0.229;
 const COUNTS_PER_TURN: f64 = 4096.0;
-/// 92 turns a minute. A servo that cannot reach its goal velocity takes it as its fastest.
+/// 92 turns per minute. A servo that cannot reach its goal velocity moves at its fastest.
 const MAX_VELOCITY_UNITS: f64 = 400.0;
 
-/// A driver of one servo.
+/// Driver of one servo.
 pub struct DynamixelGripper {
     line: Box<dyn Line>,
     id: u8,
@@ -38,8 +39,8 @@ pub struct DynamixelGripper {
 }
 
 impl DynamixelGripper {
-    /// The servo `id` on a line. `widths` maps its position to the opening, `max_current` is the largest goal current in
-    /// the servo's own units.
+    /// Driver of servo `id` on a line. `widths` maps its position to the opening; `max_current` is the
+    /// largest goal current in the servo's own units.
     #[must_use]
     pub fn new(line: Box<dyn Line>, id: u8, timeout: Duration, widths: WidthTable, max_current: u16) -> Self {
         let count_mm = mm_per_count(&widths);
@@ -86,7 +87,7 @@ impl DynamixelGripper {
         self.ask(Instruction::Write { address, data }).map(|_| ())
     }
 
-    /// Whether it moves, and its position.
+    /// Whether the servo moves, and its position.
     fn state(&mut self) -> Result<(bool, i32), GripperError> {
         let status = self.ask(Instruction::Read { address: address::STATE, count: 14 })?;
         let data: [u8; 14] = status.data.try_into().map_err(|_| GripperError::Device {
@@ -96,7 +97,7 @@ impl DynamixelGripper {
     }
 }
 
-/// Millimetres of opening for each count, in the middle of the table.
+/// Millimetres of opening per count, averaged over the table.
 fn mm_per_count(widths: &WidthTable) -> f64 {
     let (min_mm, max_mm) = widths.range_mm();
     match (widths.count(min_mm), widths.count(max_mm)) {
@@ -106,7 +107,7 @@ fn mm_per_count(widths: &WidthTable) -> f64 {
 }
 
 impl Gripper for DynamixelGripper {
-    /// Torque is switched on where it is off, with the goal at the present position: nothing moves.
+    /// Switches torque on if it is off, with the goal at the present position, so that nothing moves.
     fn activate(&mut self) -> Result<(), GripperError> {
         let (_, position) = self.state()?;
         let torque = self.ask(Instruction::Read { address: address::TORQUE_ENABLE, count: 1 })?;
@@ -135,8 +136,8 @@ impl Gripper for DynamixelGripper {
         Ok(())
     }
 
-    /// Fingers that move get their present position as goal. Fingers that stand keep their goal: the way that is missing
-    /// to it is what grips.
+    /// Moving fingers get their present position as goal. Fingers at rest keep their goal: the remaining
+    /// distance to it produces the grip force.
     fn stop(&mut self) -> Result<(), GripperError> {
         let (moving, position) = self.state()?;
         if moving {

@@ -1,4 +1,4 @@
-//! A gripper of one Feetech STS servo (STS3215 and relatives), as low-cost arms have it.
+//! Gripper with one Feetech STS servo (STS3215 and relatives), as in low-cost arms.
 
 use super::line::Line;
 use super::servo;
@@ -11,20 +11,21 @@ mod address {
     pub const TORQUE_ENABLE: u8 = 40;
     /// Position, time, speed, torque limit: 8 bytes.
     pub const GOAL: u8 = 42;
-    /// Position to the moving flag: 11 bytes.
+    /// From position to moving flag: 11 bytes.
     pub const STATE: u8 = 56;
 }
 
-/// Offset of the moving flag, register 66, in the state.
+/// Offset of the moving flag (register 66) in the state.
 const MOVING: usize = 10;
 /// The torque limit is in thousandths.
 const TORQUE_STEPS: f64 = 1000.0;
-/// The fastest STS3215 turns at about 3400 counts a second without load; faster goals are taken as the fastest.
+/// An unloaded STS3215 turns at most about 3400 counts per second; it treats faster goals as its
+/// fastest.
 const MAX_COUNTS_PER_S: f64 = 3400.0;
 /// Positions and speeds have their sign in bit 15.
 const SIGN_BIT: u32 = 15;
 
-/// A driver of one servo.
+/// Driver of one servo.
 pub struct FeetechGripper {
     line: Box<dyn Line>,
     id: u8,
@@ -34,7 +35,7 @@ pub struct FeetechGripper {
 }
 
 impl FeetechGripper {
-    /// The servo `id` on a line. `widths` maps its position to the opening.
+    /// Driver of servo `id` on a line. `widths` maps its position to the opening.
     #[must_use]
     pub fn new(line: Box<dyn Line>, id: u8, timeout: Duration, widths: WidthTable) -> Self {
         Self { line, id, timeout, widths, goal: None }
@@ -65,7 +66,7 @@ impl FeetechGripper {
         self.ask(Instruction::Write { address, data }).map(|_| ())
     }
 
-    /// Whether it moves, and its position.
+    /// Whether the servo moves, and its position.
     fn state(&mut self) -> Result<(bool, i32), GripperError> {
         let status = self.ask(Instruction::Read { address: address::STATE, count: MOVING as u8 + 1 })?;
         let data: [u8; MOVING + 1] = status.data.try_into().map_err(|_| GripperError::Device {
@@ -74,7 +75,7 @@ impl FeetechGripper {
         Ok((data[MOVING] != 0, signed(u16::from_le_bytes([data[0], data[1]]), SIGN_BIT)))
     }
 
-    /// Writes the position and what follows it in the memory table.
+    /// Writes the position and the values after it in the memory table.
     fn go(&mut self, goal: i32, rest: &[u16]) -> Result<(), GripperError> {
         let position = (goal.unsigned_abs() as u16 & 0x7FFF) | u16::from(goal < 0) << SIGN_BIT;
         let goals: Vec<u8> =
@@ -93,7 +94,7 @@ fn faultless(status: Status) -> Result<Status, GripperError> {
 }
 
 impl Gripper for FeetechGripper {
-    /// Torque is switched on, which holds the present position: nothing moves.
+    /// Switches torque on, which holds the present position: nothing moves.
     fn activate(&mut self) -> Result<(), GripperError> {
         let (_, position) = self.state()?;
         self.write(address::TORQUE_ENABLE, &[1])?;
@@ -116,12 +117,12 @@ impl Gripper for FeetechGripper {
         let range = (1.0 / counts_per_mm, MAX_COUNTS_PER_S / counts_per_mm);
         let counts_per_s = check_speed(speed_mm_s, range)? * counts_per_mm;
         let torque = share(force, TORQUE_STEPS)? as u16;
-        // A time of 0 leaves the speed in charge.
+        // With a time of 0 the servo follows the speed.
         self.go(count.round() as i32, &[0, counts_per_s.round().max(1.0) as u16, torque])
     }
 
-    /// Fingers that move get their present position as goal, with the torque limit as it was. Fingers that stand keep
-    /// their goal: the way that is missing to it is what grips.
+    /// Moving fingers get their present position as goal; the torque limit is kept. Fingers at rest keep
+    /// their goal: the remaining distance to it produces the grip force.
     fn stop(&mut self) -> Result<(), GripperError> {
         let (moving, position) = self.state()?;
         if moving { self.go(position, &[]) } else { Ok(()) }

@@ -1,4 +1,4 @@
-//! Lines of bytes to a device: serial ports and TCP connections.
+//! Byte streams to a device: serial ports and TCP connections.
 
 use super::GripperError;
 use crate::source::monotonic_ns;
@@ -6,16 +6,17 @@ use std::io::{ErrorKind, Read, Write};
 use std::net::{TcpStream, ToSocketAddrs};
 use std::time::{Duration, Instant};
 
-/// A TCP connection to a device on the robot's own network takes a few milliseconds.
+/// Connecting to a device on the robot's own network takes a few milliseconds.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(2);
-/// A write of some twenty bytes that takes longer means that nobody takes them.
+/// If a write of some twenty bytes takes longer, the receiver has stopped reading.
 const WRITE_TIMEOUT: Duration = Duration::from_millis(500);
 
-/// Replies have some twenty bytes: 16 kB that wait, or come faster than they are read, are no reply.
+/// Replies have some twenty bytes: 16 kB that are queued, or arrive faster than they are read, are not a
+/// reply.
 const MAX_DISCARDS: usize = 64;
 const BABBLES: &str = "something sends without end; are baud rate and wiring right?";
 
-/// A line of bytes. All errors are [`GripperError::Port`].
+/// Byte stream to a device. All errors are [`GripperError::Port`].
 pub trait Line: Send {
     /// Sends all bytes.
     ///
@@ -23,22 +24,22 @@ pub trait Line: Send {
     /// [`GripperError::Port`].
     fn send(&mut self, bytes: &[u8]) -> Result<(), GripperError>;
 
-    /// Waits for bytes until `deadline`; their number, 0 when none came.
+    /// Waits for bytes until `deadline`. Returns their number, 0 if none came.
     ///
     /// # Errors
-    /// [`GripperError::Port`], also when the other side closed the line.
+    /// [`GripperError::Port`], also if the other side closed the line.
     fn receive(&mut self, buffer: &mut [u8], deadline: Instant) -> Result<usize, GripperError>;
 
-    /// Its name in errors.
+    /// Name for error messages.
     fn name(&self) -> &str;
 
-    /// When the last bytes were sent, nanoseconds of `CLOCK_MONOTONIC`: a serial port has drained, a TCP connection's
-    /// bytes are with the system. Lines that do not measure it have none.
+    /// Time at which the last bytes were sent, nanoseconds of `CLOCK_MONOTONIC`: a serial port has
+    /// drained, a TCP connection has passed them to the system. `None` for lines that do not measure it.
     fn sent_ns(&self) -> Option<u64> {
         None
     }
 
-    /// Drops what came and was not read.
+    /// Drops received bytes that were not read.
     ///
     /// # Errors
     /// [`GripperError::Port`].
@@ -55,7 +56,7 @@ pub trait Line: Send {
 
 /// Opens `tcp://host:port`, or a serial port by its path, with 8 data bits, no parity and one stop bit.
 ///
-/// Without the feature `host` there are no serial ports: the Python bindings bring pyserial's.
+/// Without the feature `host` there are no serial ports: the Python bindings use pyserial.
 ///
 /// # Errors
 /// [`GripperError::Port`].
@@ -85,7 +86,7 @@ pub struct SerialLine {
 
 #[cfg(feature = "host")]
 impl SerialLine {
-    /// Opens the port for this process alone.
+    /// Opens the port exclusively for this process.
     ///
     /// # Errors
     /// [`GripperError::Port`].
@@ -100,7 +101,7 @@ impl Line for SerialLine {
     fn send(&mut self, bytes: &[u8]) -> Result<(), GripperError> {
         self.port.set_timeout(WRITE_TIMEOUT).map_err(|error| fail(&self.name, error))?;
         self.port.write_all(bytes).map_err(|error| fail(&self.name, error))?;
-        // Waits until the last byte has left the port's buffer.
+        // Wait until the last byte has left the port's buffer.
         self.port.flush().map_err(|error| fail(&self.name, error))?;
         self.sent_ns = Some(monotonic_ns());
         Ok(())
@@ -146,7 +147,7 @@ impl TcpLine {
         for candidate in address.to_socket_addrs().map_err(|error| fail(&name, error))? {
             match TcpStream::connect_timeout(&candidate, CONNECT_TIMEOUT) {
                 Ok(stream) => {
-                    // A command must not wait for the acknowledgement of the one before.
+                    // A command must not wait for the acknowledgement of the previous one.
                     stream.set_nodelay(true).map_err(|error| fail(&name, error))?;
                     stream.set_write_timeout(Some(WRITE_TIMEOUT)).map_err(|error| fail(&name, error))?;
                     return Ok(Self { stream, name, sent_ns: None });
@@ -167,7 +168,7 @@ impl Line for TcpLine {
 
     fn receive(&mut self, buffer: &mut [u8], deadline: Instant) -> Result<usize, GripperError> {
         let read = until(deadline, |wait| {
-            // A timeout of zero would wait for ever.
+            // A timeout of zero would block for ever.
             self.stream.set_read_timeout(Some(wait.max(Duration::from_micros(1))))?;
             self.stream.read(buffer)
         });
@@ -188,7 +189,7 @@ impl Line for TcpLine {
     }
 }
 
-/// Reads with what is left until `deadline`, again after a signal: what was asked is still to be answered.
+/// Reads until `deadline` and retries after a signal, because a reply is still outstanding.
 fn until(
     deadline: Instant,
     mut read: impl FnMut(Duration) -> std::io::Result<usize>,

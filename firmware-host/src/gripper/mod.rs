@@ -1,6 +1,7 @@
-//! Grippers: the trait that the robot task uses, and a driver for each kind.
+//! Grippers: the trait used by the robot task, and a driver for each kind.
 //!
-//! A driver is one file here beside its codec in [`crate::codec`]. It opens nothing by itself: [`mod@line`] brings the bytes.
+//! A driver is one file here and a codec in [`crate::codec`]. It does not open ports; [`mod@line`]
+//! provides the line.
 
 mod config;
 mod dh;
@@ -27,59 +28,59 @@ pub use width::{WidthTable, WidthTableError};
 use std::fmt;
 use std::time::{Duration, Instant};
 
-/// What a gripper says of itself.
+/// Status of a gripper.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct GripperStatus {
     /// Opening between the pads.
     pub width_mm: f64,
     /// Whether the fingers move.
     pub moving: bool,
-    /// Whether the fingers were stopped by something between them.
+    /// Whether an object between the fingers stopped them.
     pub object_detected: bool,
 }
 
-/// Why a gripper does not do what it was asked.
+/// Reason why a gripper request failed.
 #[derive(Clone, Debug, PartialEq)]
 pub enum GripperError {
     /// The width is out of range.
     Width {
-        /// Width asked for.
+        /// Requested width.
         width_mm: f64,
-        /// Smallest valid.
+        /// Smallest valid width.
         min_mm: f64,
-        /// Largest valid.
+        /// Largest valid width.
         max_mm: f64,
     },
     /// The speed is out of range.
     Speed {
-        /// Speed asked for.
+        /// Requested speed.
         speed_mm_s: f64,
-        /// Smallest valid.
+        /// Smallest valid speed.
         min_mm_s: f64,
-        /// Largest valid.
+        /// Largest valid speed.
         max_mm_s: f64,
     },
-    /// The force is no share of the range.
+    /// The force is not a fraction of the range.
     Force {
-        /// Share asked for; valid is 0 to 1.
+        /// Requested fraction; valid is 0 to 1.
         force: f64,
     },
-    /// A move was asked for before the gripper was activated.
+    /// A move was requested before the gripper was activated.
     NotActivated,
-    /// Activation would move the fingers, and they hold something.
+    /// Activation would move the fingers while they hold something.
     Holds,
-    /// Nothing came back.
+    /// No reply came.
     Silent {
-        /// Where it was waited.
+        /// Port that was read.
         port: String,
-        /// For how long in all.
+        /// Total time waited.
         waited_ms: u64,
     },
-    /// The port fails.
+    /// The port failed.
     Port {
-        /// Which.
+        /// Name of the port.
         port: String,
-        /// The system's answer.
+        /// Error message of the system.
         message: String,
     },
     /// The gripper reports a fault.
@@ -87,9 +88,9 @@ pub enum GripperError {
         /// The fault in words.
         message: String,
     },
-    /// The gripper refuses the request, or answers with what is no answer.
+    /// The gripper refuses the request or sends an invalid reply.
     Device {
-        /// What it said.
+        /// Reason.
         message: String,
     },
 }
@@ -133,10 +134,10 @@ impl fmt::Display for GripperError {
 
 impl std::error::Error for GripperError {}
 
-/// Activation sweeps the fingers once open and closed; the makers' own drivers allow ten seconds.
+/// Activation opens and closes the fingers once; the makers' own drivers allow ten seconds.
 const MAX_ACTIVATION: Duration = Duration::from_secs(15);
 
-/// An activation that is under way.
+/// An activation in progress.
 #[derive(Clone, Copy, Debug)]
 struct Activating {
     deadline: Instant,
@@ -147,7 +148,7 @@ impl Activating {
         Self { deadline: Instant::now() + MAX_ACTIVATION }
     }
 
-    /// The status of fingers that sweep at `width_mm`. `fault` is what the gripper reports.
+    /// Status while the fingers sweep, at `width_mm`. `fault` is the gripper's report.
     fn status(self, width_mm: f64, fault: &dyn fmt::Display) -> Result<GripperStatus, GripperError> {
         if Instant::now() > self.deadline {
             let message = format!("activation did not end within {} s: {fault}", MAX_ACTIVATION.as_secs());
@@ -157,7 +158,7 @@ impl Activating {
     }
 }
 
-/// A speed within a range; a NaN is out of it.
+/// Checks that a speed is within a range; NaN is not.
 fn check_speed(speed_mm_s: f64, (min_mm_s, max_mm_s): (f64, f64)) -> Result<f64, GripperError> {
     if speed_mm_s >= min_mm_s && speed_mm_s <= max_mm_s {
         return Ok(speed_mm_s);
@@ -165,7 +166,7 @@ fn check_speed(speed_mm_s: f64, (min_mm_s, max_mm_s): (f64, f64)) -> Result<f64,
     Err(GripperError::Speed { speed_mm_s, min_mm_s, max_mm_s })
 }
 
-/// A share of a range, in steps of the device.
+/// Converts a fraction of a range to steps of the device.
 fn share(force: f64, steps: f64) -> Result<f64, GripperError> {
     if (0.0..=1.0).contains(&force) {
         Ok((force * steps).round())
@@ -174,38 +175,41 @@ fn share(force: f64, steps: f64) -> Result<f64, GripperError> {
     }
 }
 
-/// A two-finger gripper. Activation and moves return at once; [`Gripper::status`] says when they are over.
+/// Two-finger gripper. Activation and moves return at once; [`Gripper::status`] reports when they are
+/// complete.
 pub trait Gripper {
-    /// Begins to make the gripper ready. Some sweep their fingers, and drop what they hold; they move until they are
-    /// ready.
+    /// Starts to make the gripper ready. Some grippers sweep their fingers and drop what they hold;
+    /// their status is moving until they are ready.
     ///
     /// # Errors
     /// [`GripperError`].
     fn activate(&mut self) -> Result<(), GripperError>;
 
-    /// Starts to move to a width. `force` is a share of the gripper's range, 0 to 1.
+    /// Starts a move to a width. `force` is a fraction of the gripper's range, 0 to 1.
     ///
     /// # Errors
     /// [`GripperError`].
     fn move_to(&mut self, width_mm: f64, speed_mm_s: f64, force: f64) -> Result<(), GripperError>;
 
-    /// Begins to stop without waiting for the gripper, where the driver can; [`Self::stop`] follows in any case.
+    /// Begins to stop without waiting for the gripper, if the driver supports it; [`Self::stop`] follows
+    /// in any case.
     fn begin_stop(&mut self) {}
 
-    /// Stops where the fingers are. A gripper that is being activated is not ready afterwards.
+    /// Stops the fingers at their position. A gripper whose activation is interrupted is not ready
+    /// afterwards.
     ///
     /// # Errors
     /// [`GripperError::Device`].
     fn stop(&mut self) -> Result<(), GripperError>;
 
-    /// Asks for the present state.
+    /// Reads the present status.
     ///
     /// # Errors
     /// [`GripperError::Device`].
     fn status(&mut self) -> Result<GripperStatus, GripperError>;
 
-    /// When the last bytes to the gripper were on the wire, nanoseconds of `CLOCK_MONOTONIC`. A simulated gripper has no
-    /// wire.
+    /// Time at which the last bytes to the gripper were sent, nanoseconds of `CLOCK_MONOTONIC`. `None`
+    /// for a simulated gripper.
     fn sent_ns(&self) -> Option<u64> {
         None
     }

@@ -1,16 +1,16 @@
-//! A Modbus master: one request at a time, each with its own reply.
+//! Modbus master: one request at a time, each with its own reply.
 
 use super::GripperError;
 use super::line::Line;
 use crate::codec::modbus::{ModbusError, Reply, Request, rtu, tcp};
 use std::time::{Duration, Instant};
 
-/// A request is sent so often before the gripper counts as silent. One lost byte must not stop a robot.
+/// Number of attempts before the gripper counts as silent. One lost byte must not stop a robot.
 const ATTEMPTS: u32 = 3;
-/// Exceptions that ask to try again: the device acknowledges, or is busy.
+/// Exceptions after which a request is repeated: acknowledge and busy.
 const TRY_AGAIN: [u8; 2] = [5, 6];
 
-/// How requests are framed.
+/// Framing of requests.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Framing {
     /// Serial lines, and serial lines behind a TCP port.
@@ -19,7 +19,7 @@ pub enum Framing {
     Tcp,
 }
 
-/// The master on a line to one unit.
+/// Master for one unit on a line.
 pub struct Master {
     line: Box<dyn Line>,
     framing: Framing,
@@ -28,27 +28,27 @@ pub struct Master {
     transaction: u16,
 }
 
-/// A reader of either framing.
+/// Reader for either framing.
 enum Reader<'a> {
     Rtu(rtu::ReplyReader<'a>),
     Tcp(tcp::ReplyReader<'a>),
 }
 
 impl Master {
-    /// For a unit on a line; `timeout` is what one reply may take.
+    /// Master for a unit on a line; `timeout` is the longest wait for one reply.
     #[must_use]
     pub fn new(line: Box<dyn Line>, framing: Framing, unit: u8, timeout: Duration) -> Self {
         Self { line, framing, unit, timeout, transaction: 0 }
     }
 
-    /// When the last bytes were sent; see [`Line::sent_ns`].
+    /// Time at which the last bytes were sent; see [`Line::sent_ns`].
     #[must_use]
     pub fn sent_ns(&self) -> Option<u64> {
         self.line.sent_ns()
     }
 
-    /// Sends a request and waits for its reply. What came before is dropped; a late reply is told apart by its
-    /// transaction number, or on serial lines by waiting until the line is quiet.
+    /// Sends a request and waits for its reply. Earlier input is dropped. A late reply is recognised by
+    /// its transaction number; on serial lines the master waits until the line is quiet.
     ///
     /// # Errors
     /// [`GripperError::Silent`], [`GripperError::Port`] or [`GripperError::Device`].
@@ -85,7 +85,7 @@ impl Master {
         }
     }
 
-    /// One request; nothing when no reply came in time.
+    /// Sends one request; `None` if no reply came in time.
     fn attempt(&mut self, request: Request<'_>) -> Result<Option<Result<Reply, ModbusError>>, GripperError> {
         self.line.discard_input()?;
         self.transaction = self.transaction.wrapping_add(1);
@@ -109,14 +109,15 @@ impl Master {
             if reply.is_some() {
                 return Ok(reply);
             }
-            // A line that babbles must not hold the request up beyond its time.
+            // Continuous input must not extend the wait beyond the deadline.
             if count == 0 || Instant::now() >= deadline {
                 return Ok(None);
             }
         }
     }
 
-    /// After a failure a reply may still be under way; on a serial line nothing but time tells it from the next one.
+    /// After a failure a reply may still be in transit; on a serial line only waiting separates it from
+    /// the next one.
     fn wait_for_quiet(&mut self) -> Result<(), GripperError> {
         if self.framing == Framing::Rtu {
             let (mut buffer, begun) = ([0; rtu::MAX_FRAME], Instant::now());

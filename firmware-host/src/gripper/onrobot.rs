@@ -18,10 +18,10 @@ const BUSY: u16 = 1;
 const GRIP_DETECTED: u16 = 1 << 1;
 const SAFETY_SWITCHES: u16 = 1 << 3 | 1 << 5;
 const SAFETY_ERROR: u16 = 1 << 6;
-/// Widths and forces are in tenths.
+/// Widths and forces are in tenths of mm and N.
 const TENTHS: f64 = 10.0;
 
-/// A driver of one gripper.
+/// Driver of one gripper.
 pub struct OnRobot {
     master: Master,
     max_width_mm: f64,
@@ -29,7 +29,7 @@ pub struct OnRobot {
 }
 
 impl OnRobot {
-    /// On a Modbus TCP line, with the model's largest opening and force.
+    /// Driver on a Modbus TCP line, with the model's largest opening and force.
     #[must_use]
     pub const fn new(master: Master, max_width_mm: f64, max_force_n: f64) -> Self {
         Self { master, max_width_mm, max_force_n }
@@ -50,18 +50,18 @@ impl OnRobot {
 }
 
 impl Gripper for OnRobot {
-    /// These grippers need no activation; their state is looked at.
+    /// Only checks the state: these grippers need no activation.
     fn activate(&mut self) -> Result<(), GripperError> {
         self.state().map(|_| ())
     }
 
-    /// These grippers choose their speed by the force.
+    /// The gripper derives its speed from the force.
     fn move_to(&mut self, width_mm: f64, _speed_mm_s: f64, force: f64) -> Result<(), GripperError> {
         let (min_mm, max_mm) = (0.0, self.max_width_mm);
         if !(width_mm >= min_mm && width_mm <= max_mm) {
             return Err(GripperError::Width { width_mm, min_mm, max_mm });
         }
-        // A command is taken only while the gripper is not busy.
+        // The gripper accepts commands only while it is not busy.
         if self.state()?.1 & BUSY != 0 {
             self.stop()?;
         }

@@ -1,4 +1,5 @@
-//! Robotiq 2F-85, 2F-140 and Hand-E over Modbus RTU, by a serial adapter or by TCP (the UR controller's port 54321).
+//! Robotiq 2F-85, 2F-140 and Hand-E over Modbus RTU, by serial adapter or TCP (port 54321 of the UR
+//! controller).
 
 use super::{Activating, Gripper, GripperError, GripperStatus, Master, WidthTable, check_speed, share};
 use crate::codec::robotiq::{Activation, Command, Motion, READ_STATUS, REGISTERS, Status, exchange};
@@ -6,17 +7,17 @@ use crate::codec::robotiq::{Activation, Command, Motion, READ_STATUS, REGISTERS,
 /// Steps of position, speed and force.
 const STEPS: f64 = 255.0;
 
-/// A driver of one gripper.
+/// Driver of one gripper.
 pub struct Robotiq {
     master: Master,
     widths: WidthTable,
     speed_mm_s: (f64, f64),
-    /// The command that the gripper has; unknown until its status was read.
+    /// Present command of the gripper; unknown until its status has been read.
     command: Option<Command>,
     activating: Option<Activating>,
 }
 
-/// The command of an active gripper as its status repeats it, so that writing it again moves nothing.
+/// Command of an active gripper reconstructed from its status, so that writing it again moves nothing.
 const fn command_of(status: &Status) -> Command {
     Command {
         activate: status.activated,
@@ -30,8 +31,8 @@ const fn command_of(status: &Status) -> Command {
 }
 
 impl Robotiq {
-    /// On a Modbus RTU line. `widths` maps the position register to the opening; `speed_mm_s` is the slowest and the
-    /// fastest speed of the model.
+    /// Driver on a Modbus RTU line. `widths` maps the position register to the opening; `speed_mm_s` is
+    /// the slowest and the fastest speed of the model.
     #[must_use]
     pub fn new(master: Master, widths: WidthTable, speed_mm_s: (f64, f64)) -> Self {
         Self { master, widths, speed_mm_s, command: None, activating: None }
@@ -50,7 +51,8 @@ impl Robotiq {
         Ok(status)
     }
 
-    /// The present command; a gripper that was never asked is asked first, so that nothing resets it unseen.
+    /// Present command. It is read from the gripper first if unknown, so that no write resets the
+    /// gripper by accident.
     fn command(&mut self) -> Result<Command, GripperError> {
         match self.command {
             Some(command) => Ok(command),
@@ -60,7 +62,8 @@ impl Robotiq {
 }
 
 impl Gripper for Robotiq {
-    /// Does nothing where the gripper is active and well: a second activation would drop what it holds.
+    /// Does nothing if the gripper is active without a fault: a second activation would drop a held
+    /// object.
     fn activate(&mut self) -> Result<(), GripperError> {
         let status = self.read()?;
         let active = status.activation == Activation::Active;
@@ -68,7 +71,7 @@ impl Gripper for Robotiq {
             self.command = Some(command_of(&status));
             return Ok(());
         }
-        // A reset gripper keeps its fingers where they are, so that what was held then is held still.
+        // A reset gripper keeps its fingers in place, so an object held before the reset is still held.
         if matches!(status.motion, Motion::ContactClosing | Motion::ContactOpening) {
             return Err(GripperError::Holds);
         }
@@ -100,7 +103,7 @@ impl Gripper for Robotiq {
 
     fn stop(&mut self) -> Result<(), GripperError> {
         if self.activating.take().is_some() {
-            // A sweep is no move that could be taken back: a reset ends it.
+            // A sweep is not a move that can be stopped: only a reset ends it.
             return self.write(Command::default()).map(|_| ());
         }
         let command = Command { go: false, ..self.command()? };
@@ -123,7 +126,7 @@ impl Gripper for Robotiq {
             return activating.status(width_mm, &status.fault);
         }
         let command = self.command()?;
-        // Until the request is repeated, the object bits are those of the move before.
+        // Until the request is echoed, the object bits belong to the previous move.
         let echoed = status.requested == command.position;
         let stopped = status.motion != Motion::Moving;
         Ok(GripperStatus {

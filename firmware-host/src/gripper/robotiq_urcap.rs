@@ -11,7 +11,7 @@ const STEPS: f64 = 255.0;
 /// `STA` of an active gripper.
 const ACTIVE: u8 = 3;
 
-/// A driver of one gripper.
+/// Driver of one gripper.
 pub struct RobotiqUrcap {
     line: Box<dyn Line>,
     timeout: Duration,
@@ -23,7 +23,8 @@ pub struct RobotiqUrcap {
 }
 
 impl RobotiqUrcap {
-    /// On a TCP line; `timeout` is what one reply may take, the rest as for [`super::Robotiq::new`].
+    /// Driver on a TCP line; `timeout` is the longest wait for one reply, the rest as for
+    /// [`super::Robotiq::new`].
     #[must_use]
     pub fn new(line: Box<dyn Line>, timeout: Duration, widths: WidthTable, speed_mm_s: (f64, f64)) -> Self {
         Self { line, timeout, widths, speed_mm_s, position: None, go: false, activating: None }
@@ -63,7 +64,8 @@ fn device(error: &ReplyError) -> GripperError {
 }
 
 impl Gripper for RobotiqUrcap {
-    /// Does nothing where the gripper is active and well: a second activation would drop what it holds.
+    /// Does nothing if the gripper is active without a fault: a second activation would drop a held
+    /// object.
     fn activate(&mut self) -> Result<(), GripperError> {
         let fault = Fault(self.get(Variable::Flt)? & 0x0F);
         if self.get(Variable::Sta)? == ACTIVE && !fault.needs_activation() {
@@ -101,7 +103,7 @@ impl Gripper for RobotiqUrcap {
 
     fn stop(&mut self) -> Result<(), GripperError> {
         if self.activating.take().is_some() {
-            // A sweep is no move that could be taken back: a reset ends it.
+            // A sweep is not a move that can be stopped: only a reset ends it.
             return self.set(&[(Variable::Act, 0)]);
         }
         self.set(&[(Variable::Gto, 0)])?;
@@ -125,7 +127,7 @@ impl Gripper for RobotiqUrcap {
             }
             (self.activating, self.position) = (None, Some(self.get(Variable::Pre)?));
         }
-        // The echo comes first: until it is there, the object's state is that of the move before.
+        // Until the position request is echoed, the object state belongs to the previous move.
         let echoed = Some(self.get(Variable::Pre)?) == self.position;
         let object = self.get(Variable::Obj)?;
         let position = self.get(Variable::Pos)?;

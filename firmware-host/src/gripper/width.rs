@@ -1,16 +1,16 @@
-//! Opening width against a gripper's own counts, from a table that was measured.
+//! Opening width as a function of the gripper's counts, from a measured table.
 
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
 /// Pairs of a gripper's count and the width between the pads, with straight lines between them.
 ///
-/// A gripper's documents give two points at best. A table that was measured with gauge blocks has more, and its
-/// uncertainty is the blocks'.
+/// A gripper's documents give two points at best. A table that was measured with gauge blocks has more, and
+/// its uncertainty is the blocks'.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "WidthTableFields", into = "WidthTableFields")]
 pub struct WidthTable {
-    /// Counts rise from point to point, and widths fall, or rise, all the way.
+    /// Counts increase from point to point; widths are strictly monotonic.
     points: Vec<[f64; 2]>,
     max_error_mm: f64,
 }
@@ -24,7 +24,7 @@ struct WidthTableFields {
     max_error_mm: f64,
 }
 
-/// Why pairs are no table.
+/// Reason why pairs are not a valid table.
 #[derive(Clone, Debug, PartialEq)]
 pub enum WidthTableError {
     /// A line needs two points.
@@ -32,14 +32,14 @@ pub enum WidthTableError {
         /// Points found.
         found: usize,
     },
-    /// Counts must rise and widths must go one way, all of them finite.
+    /// Counts must increase, widths must be monotonic, and all must be finite.
     Order {
-        /// Index of the first point that breaks this.
+        /// Index of the first violating point.
         index: usize,
     },
     /// The error bound is negative or not finite.
     Bound {
-        /// What was found.
+        /// Bound found.
         found: f64,
     },
 }
@@ -74,7 +74,8 @@ impl From<WidthTable> for WidthTableFields {
 }
 
 impl WidthTable {
-    /// From pairs of count and width in millimetres. `max_error_mm` bounds how far the true width may be from the table.
+    /// Table from pairs of count and width in millimetres. `max_error_mm` bounds the error of the
+    /// table's width.
     ///
     /// # Errors
     /// [`WidthTableError`].
@@ -97,7 +98,7 @@ impl WidthTable {
         Ok(Self { points, max_error_mm })
     }
 
-    /// How far the true width may be from the table.
+    /// Largest error of the table's width.
     #[must_use]
     pub const fn max_error_mm(&self) -> f64 {
         self.max_error_mm
@@ -110,7 +111,7 @@ impl WidthTable {
         (first.min(last), first.max(last))
     }
 
-    /// Width at a count. Beyond the table the first and last lines go on, since a gripper's end stops wear.
+    /// Width at a count. The first and last segments are extrapolated, since a gripper's end stops wear.
     #[must_use]
     pub fn width_mm(&self, count: f64) -> f64 {
         let last = self.points.len() - 2;
@@ -119,7 +120,7 @@ impl WidthTable {
         from_mm + (to_mm - from_mm) * (count - low) / (high - low)
     }
 
-    /// Count of a width; `None` outside the range.
+    /// Count at a width; `None` outside the range.
     #[must_use]
     pub fn count(&self, width_mm: f64) -> Option<f64> {
         let (min_mm, max_mm) = self.range_mm();

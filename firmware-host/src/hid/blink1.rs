@@ -1,4 +1,4 @@
-//! A blink(1) light, by feature reports.
+//! A blink(1) light controlled by feature reports.
 
 use super::{HidDevice, HidError, HidSelector};
 use crate::codec::blink1::{Command, Led, PRODUCT, REPORT_BYTES, Rgb, VENDOR, Version};
@@ -10,7 +10,7 @@ pub struct Blink1Light {
 }
 
 impl Blink1Light {
-    /// A blink(1), by its serial number if several are plugged in.
+    /// Selects a blink(1), by its serial number if several are connected.
     #[must_use]
     pub fn selector(serial: Option<&str>) -> HidSelector {
         HidSelector {
@@ -37,7 +37,7 @@ impl Blink1Light {
         Ok(Version::decode(&self.fetch(Command::Version)?)?)
     }
 
-    /// The colour of a light.
+    /// Reads the colour of a light.
     ///
     /// # Errors
     /// [`HidError`].
@@ -45,7 +45,7 @@ impl Blink1Light {
         Ok(Rgb::decode(&self.fetch(Command::Read { led })?)?)
     }
 
-    /// Changes all lights to a colour at once; black is off.
+    /// Sets all lights to a colour at once; black is off.
     ///
     /// # Errors
     /// [`HidError`].
@@ -53,7 +53,7 @@ impl Blink1Light {
         self.send(Command::Set { color, led: Led::All })
     }
 
-    /// Changes all lights to a colour within a time, milliseconds.
+    /// Fades all lights to a colour within `fade_ms` milliseconds.
     ///
     /// # Errors
     /// [`HidError`].
@@ -68,7 +68,7 @@ impl Blink1Light {
     fn fetch(&mut self, command: Command) -> Result<Vec<u8>, HidError> {
         self.send(command)?;
         let mut report = [0; REPORT_BYTES];
-        // The fetch is for the number of the report that was sent.
+        // Fetch the report with the number of the one sent.
         report[0] = command.encode()?[0];
         let length = self.device.get_feature(&mut report)?;
         Ok(report[..length].to_vec())

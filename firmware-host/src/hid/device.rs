@@ -16,7 +16,7 @@ pub struct HidDevice {
 }
 
 impl HidDevice {
-    /// Opens the one device that fits.
+    /// Opens the one matching device.
     ///
     /// # Errors
     /// [`HidError`].
@@ -24,7 +24,7 @@ impl HidDevice {
         Self::open_info(wanted.find()?)
     }
 
-    /// Opens a device of [`super::list`].
+    /// Opens a device listed by [`super::list`].
     ///
     /// # Errors
     /// [`HidError::PermissionDenied`] or [`HidError::Io`].
@@ -43,13 +43,14 @@ impl HidDevice {
         }
     }
 
-    /// What the kernel says about the device.
+    /// Description of the device by the kernel.
     #[must_use]
     pub fn info(&self) -> &HidInfo {
         &self.info
     }
 
-    /// Sends an output report; its first byte is the report's number, 0 where the device does not number them.
+    /// Sends an output report. Its first byte is the report number, 0 if the device does not number its
+    /// reports.
     ///
     /// # Errors
     /// [`HidError::Disconnected`] or [`HidError::Io`].
@@ -61,8 +62,8 @@ impl HidDevice {
         }
     }
 
-    /// Waits for an input report and returns its length, or `None` if none comes until the deadline. Bytes of a report
-    /// that do not fit the buffer are lost.
+    /// Waits for an input report and returns its length, or `None` if none comes before the deadline.
+    /// Bytes that do not fit the buffer are lost.
     ///
     /// # Errors
     /// [`HidError::Disconnected`] or [`HidError::Io`].
@@ -72,7 +73,7 @@ impl HidDevice {
             if !report_ioctl::wait_readable(&self.file, left)
                 .map_err(|error| self.failed("wait for", error))?
             {
-                // A signal, or the longest wait of one call, may have ended it early.
+                // A signal, or the time limit of one poll, may have ended the wait early.
                 if Instant::now() >= deadline {
                     return Ok(None);
                 }
@@ -86,12 +87,13 @@ impl HidDevice {
         }
     }
 
-    /// Throws away the input reports that wait, which answer nothing that will be asked.
+    /// Discards waiting input reports, so that they are not taken for the answer to a later command.
     ///
     /// # Errors
     /// As [`Self::read`].
     pub fn discard_waiting(&mut self) -> Result<(), HidError> {
-        // So many reports the kernel keeps at most; a device that sends without end must not hold the host.
+        // The kernel queues at most this many reports. The bound keeps a device that sends continuously
+        // from blocking the host.
         const KERNEL_QUEUE: usize = 64;
         for _ in 0..KERNEL_QUEUE {
             if self.read(&mut [0; 64], Instant::now())?.is_none() {
@@ -101,7 +103,7 @@ impl HidDevice {
         Ok(())
     }
 
-    /// Sends a feature report; its first byte is the report's number.
+    /// Sends a feature report; its first byte is the report number.
     ///
     /// # Errors
     /// [`HidError::Disconnected`] or [`HidError::Io`].
@@ -110,7 +112,7 @@ impl HidDevice {
             .map_err(|error| self.failed("send a feature report to", error))
     }
 
-    /// Fetches the feature report whose number stands in the buffer's first byte, and returns its length.
+    /// Fetches the feature report whose number is in the buffer's first byte, and returns its length.
     ///
     /// # Errors
     /// [`HidError::Disconnected`] or [`HidError::Io`].
@@ -123,7 +125,8 @@ impl HidDevice {
         let path = self.info.path.clone();
         match error.raw_os_error() {
             Some(libc::ENODEV | libc::ESHUTDOWN) => HidError::Disconnected { path },
-            // hidraw's read gives this for one reason only. The node itself vanishes a little later.
+            // hidraw's read returns this error only for an unplugged device. The node disappears
+            // slightly later.
             Some(libc::EIO) if action == READ => HidError::Disconnected { path },
             _ => HidError::Io { action, path, error },
         }
@@ -134,5 +137,5 @@ fn short(sent: usize, length: usize) -> io::Error {
     io::Error::new(io::ErrorKind::WriteZero, format!("{sent} of {length} bytes were taken"))
 }
 
-/// Longest wait that a poll can be given; the caller's deadline is checked again after it.
+/// Longest wait of one poll; the caller's deadline is checked again afterwards.
 pub(super) const MAX_POLL: Duration = Duration::from_secs(60);

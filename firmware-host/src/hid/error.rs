@@ -1,4 +1,4 @@
-//! Why a HID device cannot be used.
+//! Errors of HID devices.
 
 use super::{HidInfo, HidSelector};
 use crate::codec::blink1::Blink1Error;
@@ -8,58 +8,58 @@ use std::io;
 use std::path::PathBuf;
 use std::time::Duration;
 
-/// Why a HID device cannot be used.
+/// Reason why a HID device cannot be used.
 #[derive(Debug)]
 pub enum HidError {
-    /// No device is the one wanted.
+    /// No device matches.
     NotFound {
-        /// What was wanted.
+        /// Device searched for.
         wanted: HidSelector,
-        /// HID devices that are there.
+        /// HID devices present.
         found: Vec<HidInfo>,
     },
-    /// Several devices are as wanted.
+    /// Several devices match.
     Ambiguous {
-        /// They.
+        /// Matching devices.
         found: Vec<HidInfo>,
     },
-    /// This user may not open the device.
+    /// The user has no permission to open the device.
     PermissionDenied {
-        /// Its node.
+        /// Device node.
         path: PathBuf,
-        /// The udev rule that would allow it.
+        /// The udev rule that grants permission.
         rule: String,
     },
-    /// The device went away.
+    /// The device was disconnected.
     Disconnected {
-        /// Its node.
+        /// Device node.
         path: PathBuf,
     },
     /// No answer came in time.
     Timeout {
-        /// What was asked of the device.
+        /// Command sent to the device.
         command: &'static str,
-        /// How long it was waited for.
+        /// Time waited.
         waited: Duration,
     },
-    /// The system refuses.
+    /// A system call failed.
     Io {
-        /// What: "open", "read".
+        /// Action: "open", "read".
         action: &'static str,
         /// The node or file.
         path: PathBuf,
-        /// The system's answer.
+        /// Error of the system.
         error: io::Error,
     },
-    /// The camera refuses a command, or a value has no meaning.
+    /// The camera refuses a command, or a value is invalid.
     Tara(TaraError),
-    /// The light does not answer as it should, or a value has no meaning.
+    /// The light sends an unexpected answer, or a value is invalid.
     Blink1(Blink1Error),
     /// The kernel has no light of this name.
     NoLed {
-        /// The name.
+        /// Name searched for.
         wanted: String,
-        /// Names that it has.
+        /// Names present.
         found: Vec<String>,
     },
     /// This system has no hidraw.
@@ -124,7 +124,7 @@ fn names(devices: &[HidInfo]) -> String {
     devices.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ")
 }
 
-/// The udev rule that lets the group plugdev, and whoever sits at the computer, open the HID nodes of a product.
+/// The udev rule that lets the group plugdev and the user at the computer open the HID nodes of a product.
 #[must_use]
 pub fn udev_rule(vendor: u16, product: u16) -> String {
     format!(

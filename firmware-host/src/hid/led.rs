@@ -1,4 +1,4 @@
-//! Lights that the kernel drives itself, by its LED class: no protocol, only a number in a file.
+//! Lights driven by the kernel's LED class: switched by writing a number to a file, without a protocol.
 
 use super::HidError;
 use std::fs;
@@ -11,11 +11,11 @@ const CLASS: &str = "/sys/class/leds";
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct KernelLed {
     folder: PathBuf,
-    /// Brightness that is full.
+    /// Full brightness.
     max: u32,
 }
 
-/// Names of the lights that the kernel drives.
+/// Names of the kernel's LED class devices.
 #[must_use]
 pub fn kernel_leds() -> Vec<String> {
     let entries = fs::read_dir(CLASS).into_iter().flatten().flatten();
@@ -39,7 +39,7 @@ impl KernelLed {
         Ok(Self { folder, max })
     }
 
-    /// Sets the brightness, 0 (off) to 1 (full); what is outside counts as the nearer end.
+    /// Sets the brightness, 0 (off) to 1 (full); values outside are clamped.
     ///
     /// # Errors
     /// [`HidError::PermissionDenied`] or [`HidError::Io`].
@@ -58,7 +58,7 @@ impl KernelLed {
         }
     }
 
-    /// Brightness now, 0 to 1.
+    /// Present brightness, 0 to 1.
     ///
     /// # Errors
     /// [`HidError::Io`].

@@ -1,4 +1,4 @@
-//! Which HID devices there are, by sysfs.
+//! Lists HID devices from sysfs.
 
 use super::HidError;
 use std::fmt;
@@ -7,10 +7,11 @@ use std::path::{Path, PathBuf};
 
 const CLASS: &str = "/sys/class/hidraw";
 
-/// A HID device, as the kernel describes it. A USB device with several HID interfaces is several of these.
+/// A HID device as described by the kernel. A USB device with several HID interfaces is listed once per
+/// interface.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct HidInfo {
-    /// Its node, such as `/dev/hidraw0`.
+    /// Device node, such as `/dev/hidraw0`.
     pub path: PathBuf,
     /// USB vendor.
     pub vendor: u16,
@@ -18,11 +19,11 @@ pub struct HidInfo {
     pub product: u16,
     /// Serial number; empty if the device has none.
     pub serial: String,
-    /// Maker and product by name.
+    /// Names of maker and product.
     pub name: String,
-    /// Number of the USB interface; absent for devices on other buses.
+    /// Number of the USB interface; `None` for devices on other buses.
     pub interface: Option<u8>,
-    /// Length of the report descriptor, which tells interfaces of one device apart.
+    /// Length of the report descriptor, which distinguishes the interfaces of one device.
     pub descriptor_bytes: usize,
 }
 
@@ -36,14 +37,14 @@ impl fmt::Display for HidInfo {
     }
 }
 
-/// Which HID device is wanted.
+/// Criteria that select a HID device.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct HidSelector {
     /// USB vendor.
     pub vendor: u16,
     /// USB product.
     pub product: u16,
-    /// Serial number, if one of several is meant.
+    /// Serial number, to select one of several.
     pub serial: Option<String>,
     /// Length of the report descriptor, if the device has several interfaces.
     pub descriptor_bytes: Option<usize>,
@@ -63,7 +64,7 @@ impl fmt::Display for HidSelector {
 }
 
 impl HidSelector {
-    /// Whether a device is the one wanted.
+    /// Whether a device matches.
     #[must_use]
     pub fn fits(&self, device: &HidInfo) -> bool {
         (device.vendor, device.product) == (self.vendor, self.product)
@@ -71,7 +72,7 @@ impl HidSelector {
             && self.descriptor_bytes.is_none_or(|bytes| bytes == device.descriptor_bytes)
     }
 
-    /// The one device that fits.
+    /// Finds the one matching device.
     ///
     /// # Errors
     /// [`HidError::NotFound`], [`HidError::Ambiguous`] or [`HidError::Io`].
@@ -89,10 +90,10 @@ impl HidSelector {
     }
 }
 
-/// All HID devices, in the order of their nodes' numbers. A device that vanishes meanwhile is left out.
+/// All HID devices, in order of node number. A device that disappears meanwhile is omitted.
 ///
 /// # Errors
-/// [`HidError::Io`] if the kernel's list cannot be read. No list means that there are no devices.
+/// [`HidError::Io`] if the kernel's list cannot be read. A missing list means that there are no devices.
 pub fn list() -> Result<Vec<HidInfo>, HidError> {
     let class = Path::new(CLASS);
     let entries = match fs::read_dir(class) {

@@ -1,7 +1,7 @@
-//! HID devices by Linux's hidraw: the control interface of cameras, and lights. Lights that the kernel drives itself are
-//! switched through its LED class.
+//! HID devices through Linux's hidraw: the control interface of cameras, and lights. Lights with a
+//! kernel driver are switched through the LED class.
 //!
-//! On other systems listing finds nothing and opening gives [`HidError::Unsupported`].
+//! On other systems listing finds nothing and opening returns [`HidError::Unsupported`].
 
 mod blink1;
 #[cfg(target_os = "linux")]

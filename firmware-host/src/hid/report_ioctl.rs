@@ -1,4 +1,4 @@
-//! The calls of hidraw that Rust's standard library does not have.
+//! System calls of hidraw that Rust's standard library lacks.
 #![allow(unsafe_code)]
 
 use super::device::MAX_POLL;
@@ -10,7 +10,7 @@ use std::time::Duration;
 const MAGIC: u32 = b'H' as u32;
 const SET_FEATURE: u32 = 0x06;
 const GET_FEATURE: u32 = 0x07;
-/// An ioctl's number has 14 bits for the length of its argument.
+/// An ioctl number has 14 bits for the length of its argument.
 const MAX_REPORT_BYTES: usize = (1 << 14) - 1;
 
 /// `_IOC(_IOC_WRITE | _IOC_READ, 'H', function, length)` of the kernel's headers.
@@ -32,28 +32,30 @@ fn outcome(result: libc::c_int) -> io::Result<usize> {
 /// `HIDIOCSFEATURE`.
 pub(super) fn set_feature(file: &File, report: &[u8]) -> io::Result<()> {
     let request = request(SET_FEATURE, report.len())?;
-    // SAFETY: the descriptor is open for as long as `file`, and the kernel reads `report.len()` bytes, the length in
-    // the request's number, from a buffer of that length. It does not write to the buffer of this request.
+    // SAFETY: the descriptor is open as long as `file`. The kernel reads `report.len()` bytes, the
+    // length encoded in the request number, from a buffer of that length. It does not write to this
+    // buffer.
     outcome(unsafe { libc::ioctl(file.as_raw_fd(), request, report.as_ptr()) }).map(drop)
 }
 
 /// `HIDIOCGFEATURE`.
 pub(super) fn get_feature(file: &File, report: &mut [u8]) -> io::Result<usize> {
     let request = request(GET_FEATURE, report.len())?;
-    // SAFETY: the descriptor is open for as long as `file`, and the kernel writes at most `report.len()` bytes, the
-    // length in the request's number, to a buffer of that length that is borrowed for this call alone.
+    // SAFETY: the descriptor is open as long as `file`. The kernel writes at most `report.len()` bytes,
+    // the length encoded in the request number, to a buffer of that length that is borrowed for this
+    // call only.
     let length = outcome(unsafe { libc::ioctl(file.as_raw_fd(), request, report.as_mut_ptr()) })?;
     Ok(length.min(report.len()))
 }
 
-/// Waits until a report can be read, or for so long; false if none came.
+/// Waits up to `limit` until a report can be read; false if none came.
 pub(super) fn wait_readable(file: &File, limit: Duration) -> io::Result<bool> {
     let mut poll = libc::pollfd { fd: file.as_raw_fd(), events: libc::POLLIN, revents: 0 };
-    // Rounded up, so that a wait of less than a millisecond is no busy loop.
+    // Rounded up, so that a wait of less than a millisecond does not become a busy loop.
     let limit_ms = limit.min(MAX_POLL).as_micros().div_ceil(1000) as libc::c_int;
     // SAFETY: `poll` is one valid pollfd that outlives the call.
     match outcome(unsafe { libc::poll(&mut poll, 1, limit_ms) }) {
-        // A hang-up counts as readable: the read then tells why.
+        // A hang-up counts as readable: the following read returns the reason.
         Ok(ready) => Ok(ready > 0),
         Err(error) if error.kind() == io::ErrorKind::Interrupted => Ok(false),
         Err(error) => Err(error),

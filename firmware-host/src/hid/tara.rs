@@ -1,4 +1,4 @@
-//! Exposure, stream mode, HDR and calibration files of an e-con Tara, by its HID interface.
+//! Exposure, stream mode, HDR and calibration files of an e-con Tara through its HID interface.
 
 use super::{HidDevice, HidError, HidSelector};
 use crate::codec::tara::{
@@ -7,13 +7,13 @@ use crate::codec::tara::{
 };
 use std::time::Instant;
 
-/// The settings of a Tara camera that V4L2 does not reach.
+/// Settings of a Tara camera that V4L2 does not provide.
 #[derive(Debug)]
 pub struct TaraControl {
     device: HidDevice,
 }
 
-/// Takes the value out of a reply of one kind.
+/// Extracts the value from a reply of one kind.
 macro_rules! value {
     ($kind:ident) => {
         |reply| match reply {
@@ -24,7 +24,7 @@ macro_rules! value {
 }
 
 impl TaraControl {
-    /// The control interface of a Tara, by its serial number if several are plugged in.
+    /// Selects the control interface of a Tara, by serial number if several are connected.
     #[must_use]
     pub fn selector(serial: Option<&str>) -> HidSelector {
         HidSelector {
@@ -51,7 +51,7 @@ impl TaraControl {
         self.ask(Request::Firmware, value!(Firmware))
     }
 
-    /// The number that is unique to this camera.
+    /// Unique number of this camera.
     ///
     /// # Errors
     /// [`HidError`].
@@ -59,7 +59,7 @@ impl TaraControl {
         self.ask(Request::UniqueId, value!(UniqueId))
     }
 
-    /// The exposure time.
+    /// Exposure time.
     ///
     /// # Errors
     /// [`HidError`].
@@ -67,7 +67,7 @@ impl TaraControl {
         self.ask(Request::Exposure, value!(Exposure))
     }
 
-    /// Sets the exposure time and returns the one that the camera took.
+    /// Sets the exposure time and returns the one applied by the camera.
     ///
     /// # Errors
     /// [`HidError`].
@@ -75,7 +75,7 @@ impl TaraControl {
         self.ask(Request::SetExposure(exposure), value!(Exposure))
     }
 
-    /// What starts a frame.
+    /// Trigger source of a frame.
     ///
     /// # Errors
     /// [`HidError`].
@@ -83,7 +83,7 @@ impl TaraControl {
         self.ask(Request::StreamMode, value!(StreamMode))
     }
 
-    /// Sets what starts a frame.
+    /// Sets the trigger source of a frame.
     ///
     /// # Errors
     /// [`HidError`].
@@ -107,7 +107,7 @@ impl TaraControl {
         self.ask(Request::SetHdr(on), value!(Hdr))
     }
 
-    /// Reads a calibration file that the maker put into the camera.
+    /// Reads a calibration file stored in the camera by the maker.
     ///
     /// # Errors
     /// [`HidError`].
@@ -130,7 +130,7 @@ impl TaraControl {
     fn send(&mut self, request: Request) -> Result<(), HidError> {
         let mut numbered = [0; REPORT_BYTES + 1];
         numbered[1..].copy_from_slice(&request.encode()?);
-        // A late answer to an earlier command would be taken for this one's.
+        // A late answer to an earlier command would be taken for the answer to this one.
         self.device.discard_waiting()?;
         self.device.write(&numbered)
     }

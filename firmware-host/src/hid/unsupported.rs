@@ -3,7 +3,7 @@
 use super::{HidError, HidInfo, HidSelector};
 use std::time::Instant;
 
-/// An open HID device; on this system there is none.
+/// An open HID device; none exists on this system.
 #[derive(Debug)]
 pub struct HidDevice {
     never: std::convert::Infallible,
@@ -11,12 +11,12 @@ pub struct HidDevice {
 
 #[allow(clippy::missing_errors_doc)]
 impl HidDevice {
-    /// Gives [`HidError::Unsupported`].
+    /// Returns [`HidError::Unsupported`].
     pub fn open(_wanted: &HidSelector) -> Result<Self, HidError> {
         Err(HidError::Unsupported)
     }
 
-    /// Gives [`HidError::Unsupported`].
+    /// Returns [`HidError::Unsupported`].
     pub fn open_info(_info: HidInfo) -> Result<Self, HidError> {
         Err(HidError::Unsupported)
     }

@@ -1,4 +1,4 @@
-//! The WebSocket that Foxglove and Lichtblick open.
+//! WebSocket server for Foxglove and Lichtblick.
 
 use super::{Message, Opened, Protocol, PublishError};
 use crate::config::FoxgloveConfig;
@@ -8,7 +8,7 @@ use foxglove::{
 };
 use std::sync::Arc;
 
-/// Messages that wait for one viewer; beyond them its oldest are dropped.
+/// Largest number of waiting messages per viewer; beyond it the oldest are dropped.
 const BACKLOG: usize = 256;
 
 pub(super) fn open(settings: &FoxgloveConfig, topics: &[Topic]) -> Result<Opened, PublishError> {
@@ -37,11 +37,11 @@ pub(super) fn open(settings: &FoxgloveConfig, topics: &[Topic]) -> Result<Opened
     Ok(Opened { address, send: Box::new(move |message| viewers.send(&message)) })
 }
 
-/// What viewers are connected to: it lives as long as messages are sent.
+/// Server for the viewers; it lives as long as messages are sent.
 struct Viewers {
     channels: Vec<(Topic, Arc<RawChannel>)>,
     _server: WebSocketServerHandle,
-    /// Server and channels know each other through it, and do not keep it.
+    /// Server and channels are linked by the context but do not keep it alive.
     _context: Arc<Context>,
 }
 

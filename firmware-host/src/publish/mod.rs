@@ -1,7 +1,7 @@
-//! Results live to other programs: the same messages as in a recording, over zenoh or to Foxglove.
+//! Publishes live results to other programs: the messages of a recording, over zenoh or to Foxglove.
 //!
-//! A publisher never holds up sensing: what its listeners do not take in time is dropped, oldest first, and
-//! counted.
+//! A publisher never blocks sensing: messages that listeners do not take in time are dropped, oldest
+//! first, and counted.
 
 #[cfg(feature = "foxglove")]
 mod foxglove;
@@ -19,15 +19,15 @@ use crate::config::SenseConfig;
 use crate::recording::{MessageSink, Topic};
 use std::time::Duration;
 
-/// What sensing alone has to say; images besides where they are wanted.
+/// Topics of sensing without a robot; images are added on request.
 const RESULTS: [Topic; 6] =
     [Topic::Points, Topic::Frame, Topic::Pose, Topic::Stage, Topic::Capture, Topic::Contact];
 const IMAGES: [Topic; 2] = [Topic::LeftImage, Topic::RightImage];
 
-/// How long a publisher may still send at the end.
+/// Longest time for sending the remaining messages at the end.
 const LAST_SENDS: Duration = Duration::from_secs(1);
 
-/// A way to the listeners.
+/// Transport to the listeners.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Protocol {
     /// ROS 2 messages over zenoh.
@@ -37,7 +37,7 @@ pub enum Protocol {
 }
 
 impl Protocol {
-    /// Its name.
+    /// Name of the protocol.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -47,19 +47,19 @@ impl Protocol {
     }
 }
 
-/// Why nothing can be published.
+/// Reason why publishing is impossible.
 #[derive(Debug)]
 pub enum PublishError {
-    /// This program was built without it.
+    /// This program was built without the protocol.
     NotBuilt {
-        /// Which.
+        /// The protocol.
         protocol: Protocol,
     },
-    /// It cannot be opened.
+    /// The protocol cannot be opened.
     Open {
-        /// Which.
+        /// The protocol.
         protocol: Protocol,
-        /// Why.
+        /// Reason.
         reason: String,
     },
 }
@@ -78,26 +78,26 @@ impl std::fmt::Display for PublishError {
 
 impl std::error::Error for PublishError {}
 
-/// One message on its way.
+/// A message to publish.
 #[derive(Clone, Debug)]
 pub struct Message {
-    /// Its topic.
+    /// Topic.
     pub topic: Topic,
-    /// The frame source's time.
+    /// Time of the frame source.
     pub time_ns: u64,
-    /// CDR.
+    /// Data in CDR encoding.
     pub data: Vec<u8>,
 }
 
-/// An open way to the listeners.
+/// An open transport.
 struct Opened {
-    /// Where listeners find it.
+    /// Address for listeners.
     address: String,
-    /// Sends one message; it fails only if none can be sent any more.
+    /// Sends one message; fails only if no further message can be sent.
     send: Box<dyn FnMut(Message) -> Result<(), String> + Send>,
 }
 
-/// An output for messages that sends them on a thread of its own.
+/// An output that sends messages on its own thread.
 #[derive(Debug)]
 pub struct Publisher {
     protocol: Protocol,
@@ -123,25 +123,26 @@ impl Publisher {
         Ok(Self { protocol, address, topics, outlet })
     }
 
-    /// Its protocol.
+    /// Protocol.
     #[must_use]
     pub const fn protocol(&self) -> Protocol {
         self.protocol
     }
 
-    /// Where listeners find it.
+    /// Address for listeners.
     #[must_use]
     pub fn address(&self) -> &str {
         &self.address
     }
 
-    /// Messages that were dropped since listeners were too slow.
+    /// Number of messages dropped because listeners were too slow.
     #[must_use]
     pub fn dropped(&self) -> u64 {
         self.outlet.dropped()
     }
 
-    /// Sends what waits, for a second at most, and closes it. Returns how many messages were not sent.
+    /// Sends waiting messages for at most a second and closes the output. Returns the number of unsent
+    /// messages.
     pub fn finish(self) -> usize {
         self.outlet.finish(LAST_SENDS)
     }

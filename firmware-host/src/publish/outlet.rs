@@ -1,23 +1,23 @@
-//! A bounded queue with a thread behind it, so that slow listeners never hold up who speaks.
+//! A bounded queue with a sending thread, so that slow listeners never block the producer.
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Items that may wait: seconds of results at 30 Hz.
+/// Largest number of waiting items: seconds of results at 30 Hz.
 const MAX_ITEMS: usize = 256;
-/// Bytes that may wait: two seconds of images at 640 x 480 and 30 Hz.
+/// Largest number of waiting bytes: two seconds of images at 640 x 480 and 30 Hz.
 const MAX_BYTES: usize = 1 << 25;
-/// How often a waiting producer looks whether it shall stop.
+/// Period at which a waiting producer checks its stop flag.
 const STOP_CHECK: Duration = Duration::from_millis(50);
 
-/// What happens when the queue is full.
+/// Behaviour of a full queue.
 #[derive(Clone, Copy, Debug)]
 pub enum Overflow<'a> {
-    /// The oldest item makes way and is counted.
+    /// The oldest item is dropped and counted.
     DropOldest,
-    /// The producer waits, until the flag is raised; from then on the oldest makes way.
+    /// The producer waits until the flag is raised; afterwards the oldest item is dropped.
     WaitUnless(&'a AtomicBool),
 }
 
@@ -42,7 +42,7 @@ impl<T> Shared<T> {
         self.content.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The next item; `None` when there will be no more.
+    /// The next item; `None` after the last one.
     fn pop(&self) -> Option<T> {
         let waits = |content: &mut Content<T>| content.items.is_empty() && !content.closed;
         let mut content = self.changed.wait_while(self.lock(), waits).unwrap_or_else(PoisonError::into_inner);
@@ -54,18 +54,18 @@ impl<T> Shared<T> {
     }
 }
 
-/// Hands items to a thread. After the thread's first failure items are discarded, and [`Self::fault`] says
-/// why.
+/// Passes items to a thread. After the thread's first failure items are discarded, and [`Self::fault`]
+/// returns the reason.
 #[derive(Debug)]
 pub struct Outlet<T> {
     shared: Arc<Shared<T>>,
 }
 
 impl<T: Send + 'static> Outlet<T> {
-    /// Starts a thread that hands every item to `send`.
+    /// Starts a thread that passes every item to `send`.
     ///
     /// # Errors
-    /// The system's answer when it has no more threads.
+    /// Error of the system if it cannot create a thread.
     pub fn spawn(
         name: &str,
         mut send: impl FnMut(T) -> Result<(), String> + Send + 'static,
@@ -98,7 +98,7 @@ impl<T: Send + 'static> Outlet<T> {
         Ok(Self { shared })
     }
 
-    /// Hands over an item of so many bytes.
+    /// Adds an item of `bytes` bytes.
     pub fn push(&self, item: T, bytes: usize, overflow: Overflow<'_>) {
         let mut content = self.shared.lock();
         if let Overflow::WaitUnless(stop) = overflow {
@@ -121,19 +121,19 @@ impl<T: Send + 'static> Outlet<T> {
         self.shared.changed.notify_all();
     }
 
-    /// Items that made way for others.
+    /// Number of items dropped for newer ones.
     #[must_use]
     pub fn dropped(&self) -> u64 {
         self.shared.lock().dropped
     }
 
-    /// Why items are discarded; `None` while they are not.
+    /// Reason why items are discarded; `None` while they are sent.
     #[must_use]
     pub fn fault(&self) -> Option<String> {
         self.shared.lock().fault.clone()
     }
 
-    /// Lets the thread send what waits, for `timeout` at most. Returns how many items were not sent.
+    /// Lets the thread send waiting items for at most `timeout`. Returns the number of unsent items.
     pub fn finish(self, timeout: Duration) -> usize {
         let deadline = Instant::now() + timeout;
         let mut content = self.shared.lock();
@@ -159,7 +159,7 @@ impl<T> Drop for Outlet<T> {
 }
 
 impl<T> Content<T> {
-    /// Whether an item of so many bytes finds no room. An empty queue takes any.
+    /// Whether an item of `bytes` bytes does not fit. An empty queue accepts any.
     fn is_full(&self, bytes: usize) -> bool {
         !self.items.is_empty() && (self.items.len() >= MAX_ITEMS || self.bytes + bytes > MAX_BYTES)
     }
@@ -173,7 +173,7 @@ mod tests {
 
     const LIMIT: Duration = Duration::from_secs(20);
 
-    /// A thread that hangs holds up nobody; what it never sent is counted.
+    /// A hanging thread does not block the producer; its unsent items are counted.
     #[test]
     fn a_listener_that_hangs_costs_only_its_own_messages() {
         let (release, hang) = mpsc::channel::<()>();

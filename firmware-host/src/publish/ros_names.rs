@@ -1,33 +1,33 @@
-//! Names of nodes and topics as `rmw_zenoh` writes them (its design document, "Graph Cache" and
+//! Names of nodes and topics in the format of `rmw_zenoh` (its design document, "Graph Cache" and
 //! "Publishers").
 //!
-//! A message goes to the key `<domain>/<topic>/<type>/<hash>`. A liveliness token beside it makes the
-//! publisher known to `ros2 topic list`, and one makes the node known.
+//! A message is published under the key `<domain>/<topic>/<type>/<hash>`. One liveliness token announces
+//! the publisher to `ros2 topic list`, another one the node.
 
 use super::type_hash::rihs01;
 use crate::config::TypeHash;
 use crate::recording::Topic;
 
-/// Stands for an empty name.
+/// Encoding of an empty name.
 const EMPTY: &str = "%";
-/// Stands for a `/` within a name.
+/// Encoding of a `/` within a name.
 const SLASH: &str = "%";
-/// Reliable, volatile, the last 10 messages; the rest are defaults, which are left empty.
+/// Reliable, volatile, the last 10 messages; the other fields are empty for their defaults.
 const QOS: &str = "::,10:,:,:,,";
 
-/// The node that publishes.
+/// The publishing node.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Node {
     /// `ROS_DOMAIN_ID`.
     pub domain_id: u32,
-    /// The zenoh session's identity, in hexadecimal.
+    /// Identifier of the zenoh session, in hexadecimal.
     pub session_id: String,
-    /// Its name.
+    /// Name of the node.
     pub name: &'static str,
 }
 
 impl Node {
-    /// The node's number within its session.
+    /// Number of the node within its session.
     const ID: u32 = 0;
 
     /// Liveliness token of the node.
@@ -42,13 +42,13 @@ impl Node {
 /// Keys of one topic's publisher.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TopicNames {
-    /// Where messages go.
+    /// Key of the messages.
     pub key: String,
     /// Liveliness token of the publisher.
     pub token: String,
 }
 
-/// Keys of a topic's publisher, the `id`-th entity of its session.
+/// Keys of a topic's publisher, which is entity `id` of its session.
 #[must_use]
 pub fn topic_names(node: &Node, topic: Topic, id: u32, hash: TypeHash) -> TopicNames {
     let Node { domain_id, session_id, name } = node;
@@ -68,7 +68,7 @@ pub fn topic_names(node: &Node, topic: Topic, id: u32, hash: TypeHash) -> TopicN
     }
 }
 
-/// `std_msgs/msg/String` as DDS names it: `std_msgs::msg::dds_::String_`.
+/// DDS type name: `std_msgs/msg/String` becomes `std_msgs::msg::dds_::String_`.
 fn dds_type_name(name: &str) -> String {
     match name.rsplit_once('/') {
         Some((package, message)) => format!("{}::dds_::{message}_", package.replace('/', "::")),
@@ -76,13 +76,13 @@ fn dds_type_name(name: &str) -> String {
     }
 }
 
-/// What accompanies every message: its number, its time, and who sent it, as zenoh's serializer writes them.
+/// Attachment of every message: its number, its time and the sender, in the encoding of zenoh's serializer.
 #[must_use]
 pub fn attachment(sequence: i64, time_ns: i64, gid: &[u8; 16]) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(33);
     bytes.extend_from_slice(&sequence.to_le_bytes());
     bytes.extend_from_slice(&time_ns.to_le_bytes());
-    // Length of the list that follows, below 128 in one byte.
+    // Length of the following list; one byte below 128.
     bytes.push(gid.len() as u8);
     bytes.extend_from_slice(gid);
     bytes
@@ -92,7 +92,7 @@ pub fn attachment(sequence: i64, time_ns: i64, gid: &[u8; 16]) -> Vec<u8> {
 mod tests {
     use super::*;
 
-    /// The example of rmw_zenoh's design document, with this host's topic.
+    /// Example of rmw_zenoh's design document, with this host's topic.
     #[test]
     fn names_are_those_of_rmw_zenoh() {
         let node = Node {

@@ -1,6 +1,6 @@
-//! Hashes by which ROS 2 tells versions of a message apart (REP 2011).
+//! Hashes that identify message versions in ROS 2 (REP 2011).
 
-/// The RIHS01 hash of a message's description, as ROS 2 Jazzy has it; `None` for messages that no topic has.
+/// RIHS01 hash of a message's description in ROS 2 Jazzy; `None` for messages that no topic uses.
 #[must_use]
 pub fn rihs01(name: &str) -> Option<&'static str> {
     Some(match name {

@@ -13,15 +13,15 @@ use zenoh::qos::CongestionControl;
 /// Name of the ROS 2 node.
 const NODE: &str = "gelstereo";
 
-/// What the session holds while it publishes.
+/// State of the session while it publishes.
 struct Publishers {
     publishers: Vec<Channel>,
-    /// Dropping them takes node and topics off the graph.
+    /// Dropping them removes node and topics from the graph.
     _tokens: Vec<LivelinessToken>,
     _session: zenoh::Session,
 }
 
-/// One topic's publisher.
+/// Publisher of one topic.
 struct Channel {
     topic: Topic,
     publisher: Publisher<'static>,
@@ -41,7 +41,7 @@ pub(super) fn open(settings: &ZenohConfig, topics: &[Topic]) -> Result<Opened, P
     let mut publishers = Vec::new();
     for (id, &topic) in (1..).zip(topics) {
         let TopicNames { key, token } = topic_names(&node, topic, id, settings.type_hash);
-        // A listener that falls behind loses messages instead of holding up the others.
+        // A slow listener loses messages instead of blocking the others.
         let publisher = session.declare_publisher(key).congestion_control(CongestionControl::Drop);
         let publisher = publisher.wait().map_err(fail)?;
         let gid = gid(&token);
@@ -58,7 +58,7 @@ impl Publishers {
         let channel = self.publishers.iter_mut().find(|channel| channel.topic == topic);
         let Some(channel) = channel else { return Ok(()) };
         channel.sequence += 1;
-        // ROS 2 wants the wall clock here; the frame source's time stands in the message.
+        // ROS 2 expects the wall clock here; the frame source's time is in the message.
         let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_nanos() as i64;
         let attachment = attachment(channel.sequence, now, &channel.gid);
         channel.publisher.put(data).attachment(attachment).wait().map_err(|error| error.to_string())
@@ -71,7 +71,7 @@ fn config(settings: &ZenohConfig) -> Result<zenoh::Config, zenoh::Error> {
     for (key, value) in [
         ("mode", "\"peer\"".to_owned()),
         ("connect/endpoints", list(&settings.connect)),
-        // A router that is not there yet is tried again in the background.
+        // A missing router is retried in the background.
         ("connect/timeout_ms", "0".to_owned()),
         ("connect/exit_on_failure", "false".to_owned()),
         ("listen/endpoints", list(&settings.listen)),
@@ -82,8 +82,7 @@ fn config(settings: &ZenohConfig) -> Result<zenoh::Config, zenoh::Error> {
     Ok(config)
 }
 
-/// Sixteen bytes that differ from publisher to publisher and session to session: a hash of the token, which
-/// names both.
+/// Sixteen bytes that are unique to publisher and session: a hash of the token, which names both.
 fn gid(token: &str) -> [u8; 16] {
     let half = |salt: u8| {
         let digest = gelstereo_core::digest::Digest::new().bytes(&[salt]).bytes(token.as_bytes());

@@ -1,20 +1,20 @@
-//! How a pair was captured, as a recording keeps it.
+//! Capture data of a pair in a recording.
 
 use crate::source::{Capture, Encoded, Gray, StereoLayout, StereoPair};
 use serde::{Deserialize, Serialize};
 
-/// What `/gelstereo/capture` says of a pair. An event of the source stands there as
+/// Content of `/gelstereo/capture` for a pair. Events of the source are stored there as
 /// [`crate::source::SourceEvent`].
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct CaptureNote {
-    /// Sequence number, the driver's clock, losses.
+    /// Sequence number, the driver's timestamp and losses.
     #[serde(flatten)]
     pub capture: Capture,
     /// Whether the images are those of an earlier pair.
     pub stale: bool,
-    /// Whether the recording holds the pair's images.
+    /// Whether the recording contains the pair's images.
     pub images: bool,
-    /// Where the views stand in the camera's image, if it sends both in one.
+    /// Position of the views in the camera's image, if it sends both in one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub layout: Option<StereoLayout>,
     /// [`pixel_crc`] of the decoded left image.
@@ -24,7 +24,7 @@ pub struct CaptureNote {
 }
 
 impl CaptureNote {
-    /// Of this pair, whose images are recorded or not.
+    /// Note for this pair; `images` states whether its images are recorded.
     #[must_use]
     pub fn new(pair: &StereoPair, images: bool) -> Self {
         let layout = match pair.encoded {
@@ -42,8 +42,8 @@ impl CaptureNote {
     }
 }
 
-/// CRC-32 of an image's pixels, row after row, as 8 hexadecimal digits. A replay compares it with what its
-/// decoder gives.
+/// CRC-32 of an image's pixels, row by row, as 8 hexadecimal digits. A replay compares it with the output
+/// of its decoder.
 #[must_use]
 pub fn pixel_crc(image: &Gray) -> String {
     format!("{:08x}", crc32fast::hash(&image.pixels))

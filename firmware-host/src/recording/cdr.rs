@@ -1,6 +1,6 @@
-//! Plain CDR, little endian: how ROS 2 serialises its messages (OMG CDR, XCDR version 1).
+//! Plain CDR, little endian: the serialisation of ROS 2 messages (OMG CDR, XCDR version 1).
 //!
-//! Every primitive is aligned to its own size, counted from the byte after the four of encapsulation.
+//! Every primitive is aligned to its own size, counted from the byte after the 4-byte encapsulation.
 
 /// Encapsulation: little-endian CDR, no options.
 const ENCAPSULATION: [u8; 4] = [0, 1, 0, 0];
@@ -18,7 +18,7 @@ impl Default for Encoder {
 }
 
 impl Encoder {
-    /// The message so far.
+    /// Returns the message.
     #[must_use]
     pub fn finish(self) -> Vec<u8> {
         self.bytes
@@ -69,7 +69,7 @@ impl Encoder {
         encoder
     }
 
-    /// A string; CDR counts and writes its final zero.
+    /// A string; CDR counts and writes the terminating zero.
     #[must_use]
     pub fn string(self, value: &str) -> Self {
         let mut encoder = self.u32(value.len() as u32 + 1);
@@ -79,7 +79,7 @@ impl Encoder {
     }
 }
 
-/// A message that is not what its schema says.
+/// A message that does not match its schema.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CdrError {
     /// The encapsulation is not plain little-endian CDR.
@@ -89,12 +89,12 @@ pub enum CdrError {
     },
     /// The message ends within a field.
     TooShort {
-        /// Bytes that the field needs, from the start of the message.
+        /// Bytes needed up to the end of the field, from the start of the message.
         needed: usize,
-        /// Bytes of the message.
+        /// Length of the message in bytes.
         found: usize,
     },
-    /// A string is not UTF-8 or lacks its final zero.
+    /// A string is not UTF-8 or lacks its terminating zero.
     String,
 }
 
@@ -190,15 +190,15 @@ impl<'a> Decoder<'a> {
 mod tests {
     use super::*;
 
-    /// By hand from the rules: 4 bytes of encapsulation, a byte, padding to 4, a string of length 3 with its
-    /// zero, padding to 8, a double.
+    /// Expected bytes derived by hand from the rules: 4 bytes of encapsulation, a byte, padding to 4, a
+    /// string of length 3 including its zero, padding to 8, a double.
     #[test]
     fn alignment_is_counted_after_the_encapsulation() {
         let bytes = Encoder::default().u8(7).string("ab").f64s(&[1.0]).finish();
         let expected =
             [0, 1, 0, 0, 7, 0, 0, 0, 3, 0, 0, 0, b'a', b'b', 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0xF0, 0x3F];
         assert_eq!(bytes[..15], expected[..15]);
-        // Field ends at offset 11, so that the double starts at offset 16, byte 20.
+        // The field ends at offset 11, so the double starts at offset 16 (byte 20).
         assert_eq!(bytes.len(), 28);
         assert_eq!(bytes[20..], 1.0_f64.to_le_bytes());
     }

@@ -1,10 +1,10 @@
-//! Images of a pair from messages.
+//! Decodes the images of a pair from messages.
 
 use super::{RecordingError, Topic, messages};
 use crate::source::jpeg::JpegDecoder;
 use crate::source::{Gray, StereoLayout, StereoPair};
 
-/// Reads image messages into a pair, with the decoders that the cameras' images went through.
+/// Decodes image messages into a pair, with the same decoders as live camera images.
 #[derive(Clone, Debug, Default)]
 pub struct ImageDecoder {
     jpeg: JpegDecoder,
@@ -12,11 +12,11 @@ pub struct ImageDecoder {
 }
 
 impl ImageDecoder {
-    /// Takes a message with an image; returns whether the pair is complete with it. `layout` says where the
-    /// views stand in an image of both.
+    /// Takes an image message; returns whether it completes the pair. `layout` is the position of the
+    /// views in a combined image.
     ///
     /// # Errors
-    /// [`RecordingError::Message`] or [`RecordingError::Content`] when it is no image.
+    /// [`RecordingError::Message`] or [`RecordingError::Content`] when it is not a valid image.
     pub fn take(
         &mut self,
         topic: Topic,

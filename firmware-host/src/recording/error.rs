@@ -1,36 +1,36 @@
-//! Why a recording cannot be written or read.
+//! Errors in writing or reading a recording.
 
 use super::{METADATA_CONFIG, cdr};
 use std::path::PathBuf;
 
-/// Why a recording cannot be written or read.
+/// Reason why a recording cannot be written or read.
 #[derive(Debug)]
 pub enum RecordingError {
-    /// The file system said no.
+    /// A file system operation failed.
     Io {
         /// The file or folder.
         path: PathBuf,
-        /// What was tried.
+        /// The operation.
         doing: &'static str,
-        /// The system's answer.
+        /// The system's error.
         error: std::io::Error,
     },
-    /// The file is no MCAP file, or is damaged in the middle.
+    /// The file is not MCAP, or is damaged before its end.
     Format(mcap::McapError),
-    /// The disk is full or away, or cannot be read.
+    /// The disk is full, missing or unreadable.
     Disk(std::io::Error),
-    /// A message is not what its schema says.
+    /// A message does not match its schema.
     Message {
         /// Its topic.
         topic: &'static str,
-        /// Why.
+        /// The decoding error.
         error: cdr::CdrError,
     },
-    /// A text in the recording is not what gelstereo-host writes there.
+    /// A text in the recording was not written by gelstereo-host.
     Content {
-        /// Where.
+        /// Place in the recording.
         place: &'static str,
-        /// What is wrong.
+        /// Description of the error.
         error: String,
     },
     /// The recording lacks its configuration.
@@ -42,7 +42,7 @@ impl std::fmt::Display for RecordingError {
         match self {
             Self::Io { path, doing, error } => write!(f, "cannot {doing} {}: {error}", path.display()),
             Self::Disk(error) => write!(f, "the recording cannot be written or read: {error}"),
-            // The library's own words for a chunk that cannot be unpacked are about input and output.
+            // The library reports a chunk that cannot be unpacked as an I/O error.
             Self::Format(mcap::McapError::Io(error)) => {
                 write!(f, "this is no intact MCAP recording: a chunk cannot be unpacked: {error}")
             }
@@ -61,7 +61,7 @@ impl std::fmt::Display for RecordingError {
 impl std::error::Error for RecordingError {}
 
 impl RecordingError {
-    /// An error while writing: of the disk, unless the library refuses the content.
+    /// Classifies an error while writing: a disk error unless the library rejects the content.
     pub(super) fn writing(error: mcap::McapError) -> Self {
         match error {
             mcap::McapError::Io(error) => Self::Disk(error),

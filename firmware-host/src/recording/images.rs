@@ -1,4 +1,4 @@
-//! Images of a pair as messages.
+//! Encodes the images of a pair as messages.
 
 use super::Topic;
 use super::messages::{RIGHT_FRAME, SENSOR_FRAME, compressed_image, image};
@@ -6,17 +6,17 @@ use super::png::PngEncoder;
 use crate::config::ImageFormat;
 use crate::source::{Encoded, Gray, StereoPair};
 
-/// Images on their way to a file.
+/// Images queued for a file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum PairImages {
-    /// Plain pixels, to be encoded.
+    /// Plain pixels, still to be encoded.
     Plain { left: Gray, right: Gray },
     /// As the camera sent them.
     Encoded(Encoded),
 }
 
 impl PairImages {
-    /// A copy: the pair's buffers belong to the frame source.
+    /// Copies the images, because the pair's buffers belong to the frame source.
     pub fn of(pair: &StereoPair) -> Self {
         match &pair.encoded {
             Encoded::None => Self::Plain { left: pair.left.clone(), right: pair.right.clone() },
@@ -24,7 +24,7 @@ impl PairImages {
         }
     }
 
-    /// Bytes in memory.
+    /// Size in memory, bytes.
     pub fn bytes(&self) -> usize {
         match self {
             Self::Plain { left, right } => left.pixels.len() + right.pixels.len(),
@@ -35,7 +35,7 @@ impl PairImages {
     }
 }
 
-/// Makes messages of images.
+/// Encodes images as messages.
 #[derive(Clone, Debug)]
 pub(super) struct ImageEncoder {
     format: ImageFormat,

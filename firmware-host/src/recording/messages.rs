@@ -1,5 +1,5 @@
-//! Messages of a recording. ROS wants metres: every length is divided by 1000 on the way in, except where a
-//! field's name says `_mm`.
+//! Messages of a recording. ROS uses metres: every length is divided by 1000, except where a field's name
+//! ends in `_mm`.
 
 use super::cdr::{CdrError, Decoder, Encoder};
 use crate::gripper::GripperStatus;
@@ -7,7 +7,7 @@ use crate::source::Gray;
 use gelstereo_core::math::Pose;
 use gelstereo_core::pipeline::Frame;
 
-/// The sensor frame; "optical" is ROS's word for x right, y down, z away from the camera (REP 103).
+/// The sensor frame; "optical" is ROS's term for x right, y down, z away from the camera (REP 103).
 pub const SENSOR_FRAME: &str = "gelstereo_left_optical_frame";
 /// The right camera's frame.
 pub const RIGHT_FRAME: &str = "gelstereo_right_optical_frame";
@@ -89,11 +89,11 @@ pub fn read_compressed_image(bytes: &[u8]) -> Result<CompressedImage<'_>, CdrErr
 /// An image file in a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CompressedImage<'a> {
-    /// Stamp.
+    /// Time stamp.
     pub time_ns: u64,
     /// `png` or `jpeg`.
     pub format: &'a str,
-    /// The file.
+    /// Content of the file.
     pub file: &'a [u8],
 }
 
@@ -139,7 +139,7 @@ pub fn pose(time_ns: u64, frame_id: &str, pose: &Pose) -> Vec<u8> {
     pose_fields(header(time_ns, frame_id), pose).finish()
 }
 
-/// `geometry_msgs/msg/PoseWithCovarianceStamped` in the sensor frame; `covariance` in ROS's order (x y z,
+/// `geometry_msgs/msg/PoseWithCovarianceStamped` in the sensor frame; `covariance` in ROS order (x y z,
 /// rotations about x y z), metres and radians.
 #[must_use]
 pub fn pose_with_covariance(time_ns: u64, pose: &Pose, covariance: &[[f64; 6]; 6]) -> Vec<u8> {
@@ -147,8 +147,8 @@ pub fn pose_with_covariance(time_ns: u64, pose: &Pose, covariance: &[[f64; 6]; 6
     covariance.iter().fold(encoder, |encoder, row| encoder.f64s(row)).finish()
 }
 
-/// `sensor_msgs/msg/JointState` of the gripper: opening width in metres, and effort 1 while it holds
-/// something.
+/// `sensor_msgs/msg/JointState` of the gripper: opening width in metres, and effort 1 while it holds an
+/// object.
 #[must_use]
 pub fn joint_state(time_ns: u64, status: &GripperStatus) -> Vec<u8> {
     header(time_ns, "gripper")

@@ -1,11 +1,11 @@
-//! Recordings: MCAP files with ROS 2 messages, that Foxglove, Rerun and rosbags open as they are.
+//! Recordings: MCAP files with ROS 2 messages, readable by Foxglove, Rerun and rosbag tools.
 //!
-//! [`Recording`] takes pairs, messages and events and hands them to a thread of its own. The thread appends whole
-//! chunks of at most half a second, so that of a file that was cut off everything before the last chunk can
-//! be read, and so that no disk makes the robot wait. The configuration stands in each file's metadata, the
-//! part's mesh and the rest state among its attachments: a recording is all that [`crate::replay`] needs.
+//! [`Recording`] passes pairs, messages and events to its own thread, so that the robot never waits for a
+//! disk. The thread appends whole chunks of at most half a second; in a truncated file, everything before
+//! the last chunk remains readable. Each file holds the configuration as metadata, and the part's mesh
+//! and the rest state as attachments. [`crate::replay`] needs nothing else.
 //!
-//! A simulated run has its times from the frame source alone and gives the same bytes every time.
+//! A simulated run takes its times from the frame source alone and gives the same bytes every time.
 
 mod capture;
 pub mod cdr;
@@ -39,11 +39,11 @@ pub use topic::Topic;
 
 /// Name of the metadata record that holds the configuration.
 pub const METADATA: &str = "gelstereo";
-/// Its entry with the whole configuration, rig included, as TOML.
+/// Its entry with the whole configuration including the rig, as TOML.
 pub const METADATA_CONFIG: &str = "config_toml";
 /// Its entry with the version of gelstereo-host that wrote the file.
 pub const METADATA_VERSION: &str = "version";
-/// Its entry with the number of the part, from 0.
+/// Its entry with the index of the file within the recording, from 0.
 pub const METADATA_PART: &str = "part";
 /// Its entry with the clock of log times, `source` or `wall`.
 pub const METADATA_CLOCK: &str = "log_clock";

@@ -1,7 +1,7 @@
 //! One MCAP file of a recording.
 //!
-//! A chunk is built in memory and appended whole: the file never holds a placeholder that has to be filled in
-//! later, so that whatever ends the process leaves complete chunks, and at worst a piece of one behind them.
+//! A chunk is built in memory and appended whole; the file never contains a placeholder to be filled in
+//! later. A process that ends at any point thus leaves complete chunks, followed at worst by a partial one.
 
 use super::store::Store;
 use super::{METADATA, RecordingError, Topic};
@@ -13,30 +13,30 @@ use std::io::{self, BufWriter, Write};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// A chunk is closed beyond this size, before its time is over: it is held in memory.
+/// Largest chunk, held in memory; beyond this size it is closed before its time is over.
 const MAX_CHUNK_BYTES: u64 = 4 << 20;
 
-/// One message on its way to a file.
+/// A message queued for a file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Message {
     pub topic: Topic,
-    /// When it was recorded.
+    /// Time of recording.
     pub log_ns: u64,
-    /// The moment that it is about.
+    /// Time that the message refers to.
     pub publish_ns: u64,
     pub data: Vec<u8>,
-    /// Whether a pair begins with it.
+    /// Whether it is the first message of a pair.
     pub begins_pair: bool,
 }
 
-/// What every file of a recording begins with.
+/// Content at the start of every file of a recording.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Preamble {
     pub metadata: BTreeMap<String, String>,
     pub attachments: Vec<(String, Vec<u8>)>,
 }
 
-/// Appends to a store, counts, and makes durable what is flushed.
+/// Appends to a store, counts bytes, and optionally syncs on flush.
 struct Appender {
     store: BufWriter<Box<dyn Store>>,
     bytes: Arc<AtomicU64>,
@@ -66,16 +66,16 @@ pub(super) struct PartFile {
 }
 
 impl PartFile {
-    /// Writes what the file begins with. With `durable` each flush waits for the disk.
+    /// Writes the start of the file. With `durable` each flush waits for the disk.
     pub fn begin(store: Box<dyn Store>, preamble: &Preamble, durable: bool) -> Result<Self, RecordingError> {
         let bytes = Arc::new(AtomicU64::new(0));
         let appender = Appender { store: BufWriter::new(store), bytes: Arc::clone(&bytes), durable };
         let mut writer = mcap::WriteOptions::new()
-            // It saves little beside compressed images, but its frames let readers notice damage: crate mcap
-            // 0.26 counts below zero in a damaged chunk without compression.
+            // Compression saves little with compressed images, but its frames let readers detect damage:
+            // in a damaged uncompressed chunk, crate mcap 0.26 underflows a counter.
             .compression(Some(mcap::Compression::Lz4))
             .chunk_size(Some(MAX_CHUNK_BYTES))
-            // The writer then builds a chunk in memory and appends it whole.
+            // Makes the writer build a chunk in memory and append it whole.
             .disable_seeking(true)
             .profile("ros2")
             .library(concat!("gelstereo-host ", env!("CARGO_PKG_VERSION")))
@@ -130,12 +130,12 @@ impl PartFile {
         Ok(channel_id)
     }
 
-    /// Bytes of the file, and of messages that are still in memory.
+    /// Size of the file plus messages still in memory, bytes.
     pub fn bytes(&self) -> u64 {
         self.bytes.load(Ordering::Relaxed) + self.pending
     }
 
-    /// Ends the chunk and hands it to the system.
+    /// Closes the chunk and passes it to the operating system.
     pub fn flush(&mut self) -> Result<(), RecordingError> {
         self.pending = 0;
         self.writer.flush().map_err(RecordingError::writing)

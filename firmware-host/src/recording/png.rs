@@ -1,22 +1,22 @@
-//! Grey PNG files, written fast.
+//! Fast encoder for grey PNG files.
 //!
-//! A camera's noise leaves no repetitions in an image, so that the search for them only costs time. What is
-//! left of DEFLATE is its Huffman code: one block with a code made for this image, over residuals of the best
-//! row filter. Every PNG reader opens the result. How it compares with other codecs stands in
-//! `docs/recordings.md`.
+//! Camera noise leaves no repetitions in an image, so searching for them only costs time. The encoder
+//! uses only the Huffman part of DEFLATE: one block with a code built for this image, over residuals of
+//! the best row filter. Every PNG reader opens the result. `docs/recordings.md` compares it with other
+//! codecs.
 
 use crate::source::Gray;
 
 const SIGNATURE: [u8; 8] = [0x89, b'P', b'N', b'G', 0x0d, 0x0a, 0x1a, 0x0a];
-/// Codes of up to this many bits: four of them and the rest of a byte fit 64 bits.
+/// Longest code: four codes and the remainder of a byte fit in 64 bits.
 const MAX_CODE_BITS: usize = 14;
-/// Literals, and the end of the block.
+/// Literals plus the end-of-block symbol.
 const SYMBOLS: usize = 257;
 const END_OF_BLOCK: usize = 256;
-/// Every so many rows one is tried with each filter, to choose the image's.
+/// Row interval at which all filters are tried, to choose the image's filter.
 const SAMPLED_ROWS: usize = 8;
 
-/// The row filters of PNG that are tried.
+/// PNG row filters that are tried.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Filter {
     Up = 2,
@@ -24,7 +24,7 @@ enum Filter {
     Paeth = 4,
 }
 
-/// Writes PNG files. Its buffers are used again from image to image.
+/// PNG encoder; its buffers are reused between images.
 #[derive(Clone, Debug, Default)]
 pub struct PngEncoder {
     residuals: Vec<u8>,
@@ -37,12 +37,12 @@ impl PngEncoder {
         let mut header = Vec::with_capacity(13);
         header.extend_from_slice(&(image.width as u32).to_be_bytes());
         header.extend_from_slice(&(image.height as u32).to_be_bytes());
-        // 8 bits, grey, DEFLATE, the five filters, not interlaced.
+        // 8 bits, grey, DEFLATE, the five filter types, not interlaced.
         header.extend_from_slice(&[8, 0, 0, 0, 0]);
         chunk(out, b"IHDR", |out| out.extend_from_slice(&header));
         self.filter(image);
         chunk(out, b"IDAT", |out| {
-            // zlib: DEFLATE with a 32 kB window; the second byte makes the pair a multiple of 31.
+            // zlib header: DEFLATE with a 32 kB window; the second byte makes the pair a multiple of 31.
             out.extend_from_slice(&[0x78, 0x01]);
             deflate(&self.residuals, out);
             out.extend_from_slice(&simd_adler32::adler32(&self.residuals.as_slice()).to_be_bytes());
@@ -86,7 +86,7 @@ impl PngEncoder {
     }
 }
 
-/// One filtered row. The slices have one length.
+/// Filters one row. All slices have the same length.
 fn residual(filter: Filter, above: &[u8], row: &[u8], out: &mut [u8]) {
     let Some(first) = row.first() else { return };
     let up = |(r, (&x, &b)): (&mut u8, (&u8, &u8))| *r = x.wrapping_sub(b);
@@ -109,7 +109,7 @@ fn residual(filter: Filter, above: &[u8], row: &[u8], out: &mut [u8]) {
     }
 }
 
-/// PNG specification, 9.4: of left, above and upper left the one nearest to left + above - upper left.
+/// PNG specification, 9.4: of left, above and upper left, the one nearest to left + above - upper left.
 fn paeth(a: u8, b: u8, c: u8) -> u8 {
     let (to_a, to_b) = (b.abs_diff(c), a.abs_diff(c));
     let to_c = (i16::from(a) + i16::from(b) - 2 * i16::from(c)).unsigned_abs();
@@ -122,7 +122,7 @@ fn paeth(a: u8, b: u8, c: u8) -> u8 {
     }
 }
 
-/// A chunk of a PNG file: length, name, content, CRC-32 of name and content.
+/// Writes a chunk of a PNG file: length, name, content, CRC-32 of name and content.
 fn chunk(out: &mut Vec<u8>, name: &[u8; 4], content: impl FnOnce(&mut Vec<u8>)) {
     let start = out.len();
     out.extend_from_slice(&[0; 4]);
@@ -133,25 +133,24 @@ fn chunk(out: &mut Vec<u8>, name: &[u8; 4], content: impl FnOnce(&mut Vec<u8>)) 
     out.extend_from_slice(&crc32fast::hash(&out[start + 4..]).to_be_bytes());
 }
 
-/// Appends one final block of literals with a Huffman code of their own (RFC 1951, 3.2.7).
+/// Appends one final block of literals with a dynamic Huffman code (RFC 1951, 3.2.7).
 fn deflate(bytes: &[u8], out: &mut Vec<u8>) {
     let mut counts = histogram(bytes);
     counts[END_OF_BLOCK] = 1;
     let lengths = code_lengths(&counts);
     let codes = codes(&lengths);
     let mut bits = BitWriter { out, held: 0, count: 0 };
-    // Final block, dynamic code; 257 literal codes, 1 distance code, 19 lengths of the code of lengths.
+    // Final block, dynamic code; 257 literal codes, 1 distance code, 19 code-length codes.
     bits.put(0b101, 3);
     bits.put(0, 5);
     bits.put(0, 5);
     bits.put(15, 4);
-    // The lengths 0 to 15 get codes of 4 bits, and the repetitions 16 to 18 none: no run is worth a shorter
-    // form.
+    // The lengths 0 to 15 get 4-bit codes, and the repetitions 16 to 18 none: runs are too rare to pay off.
     const ORDER: [u8; 19] = [16, 17, 18, 0, 8, 7, 9, 6, 10, 5, 11, 4, 12, 3, 13, 2, 14, 1, 15];
     for symbol in ORDER {
         bits.put(if symbol < 16 { 4 } else { 0 }, 3);
     }
-    // No distance is used: one code of no bits says so.
+    // No distances are used: one code of zero bits.
     for length in lengths.iter().copied().chain([0]) {
         bits.put(u64::from(reversed(u32::from(length), 4)), 4);
     }
@@ -160,7 +159,7 @@ fn deflate(bytes: &[u8], out: &mut Vec<u8>) {
     bits.finish();
 }
 
-/// How often each byte occurs. Four tables, so that equal neighbours do not wait for each other.
+/// Counts each byte. Four tables, so that equal neighbours do not create a dependency.
 fn histogram(bytes: &[u8]) -> [u32; SYMBOLS] {
     let mut tables = [[0_u32; 256]; 4];
     let quads = bytes.chunks_exact(4);
@@ -175,7 +174,7 @@ fn histogram(bytes: &[u8]) -> [u32; SYMBOLS] {
     core::array::from_fn(|symbol| tables.iter().map(|table| table.get(symbol).copied().unwrap_or(0)).sum())
 }
 
-/// Lengths of a Huffman code of at most [`MAX_CODE_BITS`]; symbols that do not occur have none.
+/// Lengths of a Huffman code of at most [`MAX_CODE_BITS`]; absent symbols have length 0.
 fn code_lengths(counts: &[u32; SYMBOLS]) -> [u8; SYMBOLS] {
     let mut counts = *counts;
     loop {
@@ -183,16 +182,16 @@ fn code_lengths(counts: &[u32; SYMBOLS]) -> [u8; SYMBOLS] {
         if lengths.iter().all(|&length| usize::from(length) <= MAX_CODE_BITS) {
             return lengths;
         }
-        // Rare symbols become less rare, until no code is too long.
+        // Flattens the counts until no code is too long.
         for count in counts.iter_mut().filter(|count| **count > 0) {
             *count = *count / 2 + 1;
         }
     }
 }
 
-/// Lengths of the best prefix code.
+/// Lengths of the optimal prefix code.
 fn huffman(counts: &[u32; SYMBOLS]) -> [u8; SYMBOLS] {
-    // Leaves in the order of their counts, then inner nodes in the order of their making: two queues.
+    // Two queues: leaves in order of count, then inner nodes in order of creation.
     let mut leaves: Vec<(u64, usize)> =
         (0..SYMBOLS).filter(|&i| counts[i] > 0).map(|i| (u64::from(counts[i]), i)).collect();
     leaves.sort_unstable();
@@ -256,7 +255,7 @@ struct BitWriter<'a> {
 }
 
 impl BitWriter<'_> {
-    /// Up to 56 bits.
+    /// Appends up to 56 bits.
     fn put(&mut self, bits: u64, count: u32) {
         self.held |= bits << self.count;
         self.count += count;
@@ -267,7 +266,7 @@ impl BitWriter<'_> {
         }
     }
 
-    /// The codes of all bytes.
+    /// Appends the codes of all bytes.
     fn put_all(&mut self, bytes: &[u8], codes: &[(u16, u8); SYMBOLS]) {
         let start = self.out.len();
         self.out.resize(start + bytes.len() * MAX_CODE_BITS / 8 + 16, 0);
@@ -280,7 +279,7 @@ impl BitWriter<'_> {
                 self.held |= u64::from(code) << self.count;
                 self.count += u32::from(length);
             }
-            // Eight bytes are written, and those that are full are kept.
+            // Writes eight bytes, and keeps those that are full.
             if let Some(place) = self.out.get_mut(at..at + 8) {
                 place.copy_from_slice(&self.held.to_le_bytes());
             }
@@ -314,8 +313,8 @@ mod tests {
         Gray { width: image.width() as usize, height: image.height() as usize, pixels: image.into_raw() }
     }
 
-    /// What occurs once beside what occurs very often has the longest codes: counts of Fibonacci give a code
-    /// as deep as there are symbols.
+    /// Symbols that occur once beside very frequent ones have the longest codes. Fibonacci counts give a
+    /// code as deep as the number of symbols.
     #[test]
     fn codes_stay_below_their_limit_and_use_all_of_it() {
         let mut counts = [0; SYMBOLS];
@@ -330,7 +329,7 @@ mod tests {
     }
 
     proptest! {
-        /// Another library's decoder gives every image back: flat, noisy, steep, narrow.
+        /// An independent decoder restores every image: flat, noisy, steep, narrow.
         #[test]
         fn every_image_comes_back(
             width in 1_usize..40,

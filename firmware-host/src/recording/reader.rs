@@ -1,4 +1,4 @@
-//! Reading a recording from start to end, with constant memory, as far as it goes.
+//! Reads a recording sequentially in constant memory, up to a truncation.
 
 use super::{METADATA, RecordingError, Topic};
 use mcap::McapError;
@@ -9,10 +9,10 @@ use std::fs::File;
 use std::io::{BufReader, Read};
 use std::path::Path;
 
-/// A longer record is damage: one stereo pair is far below it.
+/// Longest record; longer ones are damage. One stereo pair is far below it.
 const MAX_RECORD_BYTES: usize = 1 << 28;
 
-/// One thing in a recording.
+/// One element of a recording.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Item {
     /// The metadata record [`METADATA`].
@@ -24,18 +24,18 @@ pub enum Item {
         /// Its bytes.
         data: Vec<u8>,
     },
-    /// A message on one of our topics; others are passed over.
+    /// A message on a known topic; others are skipped.
     Message {
         /// Its topic.
         topic: Topic,
-        /// The frame source's time.
+        /// Time on the frame source's clock.
         time_ns: u64,
-        /// CDR.
+        /// CDR-encoded message.
         data: Vec<u8>,
     },
 }
 
-/// Reads a recording in the order in which it was written.
+/// Reads a recording in the order of writing.
 pub struct Reader {
     input: Box<dyn Read>,
     reader: LinearReader,
@@ -57,7 +57,7 @@ impl Reader {
         Ok(Self::new(Box::new(BufReader::new(file))))
     }
 
-    /// Reads from anything.
+    /// Reads from any input.
     #[must_use]
     pub fn new(input: Box<dyn Read>) -> Self {
         let options = LinearReaderOptions::default()
@@ -67,16 +67,16 @@ impl Reader {
         Self { input, reader, topics: BTreeMap::new(), truncated: false }
     }
 
-    /// Whether the file ended before its end mark; complete once [`Self::next_item`] gave `None`.
+    /// Whether the file lacked its end mark; final once [`Self::next_item`] returned `None`.
     #[must_use]
     pub const fn truncated(&self) -> bool {
         self.truncated
     }
 
-    /// The next item; `None` at the end, or where the file was cut off, and from then on.
+    /// The next item; `None` at the end or at a truncation, and on every later call.
     ///
     /// # Errors
-    /// [`RecordingError::Format`] when the file is no MCAP file or is damaged before its end.
+    /// [`RecordingError::Format`] when the file is not MCAP or is damaged before its end.
     pub fn next_item(&mut self) -> Result<Option<Item>, RecordingError> {
         if self.truncated {
             return Ok(None);

@@ -1,4 +1,4 @@
-//! A recording that was cut off or damaged, copied as far as it goes.
+//! Copies the readable part of a truncated or damaged recording.
 
 use super::RecordingError;
 use mcap::records::{Record, op};
@@ -8,9 +8,9 @@ use std::fs::File;
 use std::io::{BufReader, BufWriter, Read, Write};
 use std::path::Path;
 
-/// A longer record is damage: one chunk is far below it.
+/// Longest record; longer ones are damage. One chunk is far below it.
 const MAX_RECORD_BYTES: u64 = 1 << 28;
-/// Opcode and length, before each record.
+/// Opcode and length before each record.
 const RECORD_HEAD_BYTES: usize = 9;
 
 /// What was copied and what was lost.
@@ -18,13 +18,13 @@ const RECORD_HEAD_BYTES: usize = 9;
 pub struct Recovered {
     /// Messages copied.
     pub messages: u64,
-    /// From the first to the last message's log time.
+    /// Log time from the first to the last message.
     pub duration_ns: u64,
     /// Whether the recording was complete.
     pub complete: bool,
-    /// Complete chunks whose check sum is wrong; none of their messages was copied.
+    /// Complete chunks with a wrong checksum; none of their messages was copied.
     pub damaged_chunks: u64,
-    /// Bytes behind the last complete record, of which whole messages were copied where there were some.
+    /// Bytes after the last complete record; whole messages among them were copied.
     pub cut_bytes: u64,
 }
 
@@ -47,12 +47,13 @@ impl std::fmt::Display for Recovered {
     }
 }
 
-/// Copies every complete message, all metadata and attachments of the MCAP file `input` to the new file
-/// `output`, and writes an index. `input` is only read.
+/// Copies every complete message and all metadata and attachments of the MCAP file `input` to the new
+/// file `output`, and writes an index. `input` is not modified.
 ///
 /// # Errors
-/// [`RecordingError::Io`] when a file cannot be opened or created, or `output` is there already;
-/// [`RecordingError::Format`] when `input` is no MCAP file; [`RecordingError::Disk`] when the disk is full.
+/// [`RecordingError::Io`] when a file cannot be opened or created, or `output` exists;
+/// [`RecordingError::Format`] when `input` is not an MCAP file; [`RecordingError::Disk`] when the disk is
+/// full.
 pub fn recover(input: &Path, output: &Path) -> Result<Recovered, RecordingError> {
     let io = |path: &Path, doing| {
         let path = path.to_owned();
@@ -87,7 +88,7 @@ impl Copy {
         Ok(Self { writer, recovered: Recovered::default(), times_ns: None })
     }
 
-    /// Copies one record; `false` behind the last one.
+    /// Copies one record; `false` after the last one.
     fn record(&mut self, source: &mut impl Read) -> Result<bool, RecordingError> {
         let mut bytes = Vec::new();
         let take = |source: &mut dyn Read, bytes: &mut Vec<u8>, count: u64| {
@@ -129,8 +130,8 @@ impl Copy {
         Ok(true)
     }
 
-    /// Copies what a chunk holds. Of a `whole` one the check sum is looked at first; whether it is right is
-    /// returned.
+    /// Copies the contents of a chunk. The checksum of a `whole` chunk is verified first; returns whether
+    /// it is correct.
     fn chunk(&mut self, bytes: &[u8], whole: bool) -> Result<bool, RecordingError> {
         let mut reader = LinearReader::new_with_options(
             LinearReaderOptions::default()

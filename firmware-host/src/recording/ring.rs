@@ -1,9 +1,9 @@
-//! The last messages, in memory until something happens.
+//! Ring buffer of the latest messages, held until a trigger.
 
 use super::part::Message;
 use std::collections::VecDeque;
 
-/// Keeps the newest messages, up to a time and a size.
+/// Keeps the newest messages, up to a duration and a size.
 #[derive(Clone, Debug)]
 pub(super) struct Ring {
     messages: VecDeque<Message>,
@@ -17,7 +17,7 @@ impl Ring {
         Self { messages: VecDeque::new(), bytes: 0, max_ns, max_bytes }
     }
 
-    /// Adds a message; the oldest ones go.
+    /// Adds a message and drops the oldest ones.
     pub fn push(&mut self, message: Message) {
         let oldest_ns = message.log_ns.saturating_sub(self.max_ns);
         self.bytes += message.data.len();
@@ -28,7 +28,7 @@ impl Ring {
         }
     }
 
-    /// All of them, from the first whole frame on. The ring is empty then.
+    /// Empties the ring; returns its messages from the first whole frame on.
     pub fn take(&mut self) -> VecDeque<Message> {
         let mut messages = std::mem::take(&mut self.messages);
         self.bytes = 0;

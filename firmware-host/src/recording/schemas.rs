@@ -1,5 +1,5 @@
-//! Definitions of the ROS 2 messages that a recording holds, as `ros2 interface show` of ROS 2 Humble and
-//! later gives them, without comments. Each is the message followed by the messages that it contains.
+//! Definitions of the ROS 2 messages in a recording, as printed by `ros2 interface show` of ROS 2 Humble
+//! and later, without comments. Each is the message followed by the messages that it contains.
 
 macro_rules! part {
     ($name:literal, $definition:expr) => {

@@ -1,4 +1,4 @@
-//! A running recording, as the robot task and endless sensing write it.
+//! A running recording, used by the robot task and by continuous sensing.
 
 use super::images::PairImages;
 use super::part::{Message, Preamble};
@@ -17,21 +17,22 @@ use std::sync::Arc;
 use std::sync::mpsc::{Sender, channel};
 use std::thread::JoinHandle;
 
-/// What a recording holds besides messages; each of its files has it.
+/// Contents of a recording besides messages; repeated in each of its files.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Content {
-    /// The whole configuration with the rig.
+    /// The whole configuration including the rig.
     pub config_toml: String,
     /// Names and bytes of attached files: the part's mesh.
     pub attachments: Vec<(String, Vec<u8>)>,
 }
 
-/// Whose clock stamps the moment at which a message was recorded.
+/// Clock for the log times of messages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LogClock {
-    /// The frame source's: a simulated run gives the same bytes every time. The source waits for the disk.
+    /// The frame source's clock: a simulated run gives the same bytes every time. The source waits for
+    /// the disk.
     Source,
-    /// This computer's wall clock. The source waits for nothing, and each chunk is synced to the disk.
+    /// This computer's wall clock. The source never waits, and each chunk is synced to the disk.
     Wall,
 }
 
@@ -44,22 +45,22 @@ impl LogClock {
     }
 }
 
-/// What became of a recording.
+/// Result of a recording.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct RecordingReport {
     /// Its files, in order.
     pub files: Vec<PathBuf>,
     /// Messages written.
     pub messages: u64,
-    /// Messages that did not get into it, because the disk was too slow.
+    /// Messages lost because the disk was too slow.
     pub lost_messages: u64,
-    /// Size of the files that were closed, bytes.
+    /// Total size of the closed files, bytes.
     pub bytes: u64,
-    /// Why it ended early, if it did. What was written before can be replayed.
+    /// Why it ended early, if it did. Everything written before can be replayed.
     pub fault: Option<String>,
 }
 
-/// A running recording. Faults of the disk end the recording, and nothing else.
+/// A running recording. Disk faults end the recording and nothing else.
 pub struct Recording {
     commands: Option<Sender<Command>>,
     thread: Option<JoinHandle<RecordingReport>>,
@@ -68,13 +69,12 @@ pub struct Recording {
     every_nth: u64,
     pairs: u64,
     lost: u64,
-    /// Lost messages that no message in the recording speaks of yet.
+    /// Lost messages not yet reported by a message in the recording.
     untold: u64,
 }
 
 impl Recording {
-    /// Creates the first file, and the folder that it stands in. In the mode `ring` a trigger creates the
-    /// file.
+    /// Creates the first file and its folder. In the mode `ring` the file is created by a trigger.
     ///
     /// # Errors
     /// [`RecordingError::Io`] when the file cannot be created.
@@ -94,7 +94,7 @@ impl Recording {
         Self::with_stores(settings, content, clock, files(path.clone()))
     }
 
-    /// Writes to other places than files.
+    /// Writes to custom stores instead of files.
     ///
     /// # Errors
     /// [`RecordingError`] when the first part cannot be opened.
@@ -147,7 +147,7 @@ impl Recording {
         })
     }
 
-    /// Writes how a pair was captured and, of every nth pair, its images. Results of the pair come after it.
+    /// Writes a pair's capture data and, for every nth pair, its images. Results of the pair follow.
     pub fn write_pair(&mut self, pair: &StereoPair) {
         let keeps_images = self.pairs.is_multiple_of(self.every_nth);
         self.pairs += 1;
@@ -158,12 +158,12 @@ impl Recording {
         }
     }
 
-    /// Writes what happened to the source.
+    /// Writes an event of the source.
     pub fn event(&mut self, time_ns: u64, event: &SourceEvent) {
         self.json(time_ns, event, false);
     }
 
-    /// Keeps the rest state, so that each later file can be computed again without the ones before.
+    /// Keeps the rest state, so that each later file can be replayed without the earlier ones.
     pub fn rest(&mut self, record: &RestRecord) {
         match serde_json::to_vec(record) {
             Ok(bytes) => self.send(Command::Rest(bytes), 0),
@@ -171,20 +171,20 @@ impl Recording {
         }
     }
 
-    /// Saves the time around this moment in the mode `ring`; in the mode `all` it is recorded anyway.
+    /// In the mode `ring`, saves the time around this moment; in the mode `all` it is recorded anyway.
     pub fn trigger(&mut self, time_ns: u64, cause: &str) {
         self.json(time_ns, &serde_json::json!({ "event": "trigger", "cause": cause }), false);
         let log_ns = self.log_ns(time_ns);
         self.send(Command::Trigger { log_ns }, time_ns);
     }
 
-    /// Bytes that wait for the disk.
+    /// Bytes waiting for the disk.
     #[must_use]
     pub fn queued_bytes(&self) -> usize {
         self.shared.queued_bytes()
     }
 
-    /// Messages that did not get into the recording so far, because the disk was too slow.
+    /// Messages lost so far because the disk was too slow.
     #[must_use]
     pub const fn lost_messages(&self) -> u64 {
         self.lost
@@ -258,7 +258,7 @@ impl MessageSink for Recording {
     }
 }
 
-/// Frees a source that waits for a thread that is gone.
+/// Releases a source that waits for a writer thread that panicked.
 struct TellsOfPanic(Arc<Shared>);
 
 impl Drop for TellsOfPanic {
@@ -270,7 +270,7 @@ impl Drop for TellsOfPanic {
 }
 
 impl Drop for Recording {
-    /// A recording that nobody finished is closed all the same.
+    /// Closes a recording that was not finished explicitly.
     fn drop(&mut self) {
         self.close();
     }

@@ -1,9 +1,9 @@
-//! What a recording and its thread know of each other.
+//! State shared by a recording and its thread.
 
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
-/// Memory for messages that the disk has not taken yet: about 3 s of plain pairs of 640 x 480 at 30 Hz, more
-/// than a disk usually pauses.
+/// Memory for messages waiting for the disk: about 3 s of plain 640 x 480 pairs at 30 Hz, longer than the
+/// usual pauses of a disk.
 const MAX_QUEUE_BYTES: usize = 64 << 20;
 
 #[derive(Debug, Default)]
@@ -12,7 +12,7 @@ struct State {
     fault: Option<String>,
 }
 
-/// The queue's filling, and why there is no more writing.
+/// Fill level of the queue, and the reason why writing ended.
 #[derive(Debug, Default)]
 pub(super) struct Shared {
     state: Mutex<State>,
@@ -24,7 +24,7 @@ impl Shared {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Counts bytes into the queue; `false` when they do not fit. With `wait` there is room sooner or later.
+    /// Reserves bytes in the queue; `false` when they do not fit. With `wait` it blocks until there is room.
     pub fn queue(&self, bytes: usize, wait: bool) -> bool {
         let mut state = self.lock();
         while state.queued_bytes > 0 && state.queued_bytes + bytes > MAX_QUEUE_BYTES {
@@ -41,7 +41,7 @@ impl Shared {
         self.lock().queued_bytes
     }
 
-    /// These bytes left the queue.
+    /// Releases bytes that left the queue.
     pub fn written(&self, bytes: usize) {
         self.lock().queued_bytes -= bytes;
         self.changed.notify_all();

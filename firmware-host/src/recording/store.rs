@@ -1,4 +1,4 @@
-//! What the files of a recording stand on.
+//! Storage for the files of a recording.
 
 use super::RecordingError;
 use std::fs::File;
@@ -6,12 +6,12 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Something that one file of a recording can be written to. It is only ever appended to.
+/// An append-only target for one file of a recording.
 pub trait Store: Write + Send {
-    /// Returns when what was written would survive a power cut.
+    /// Returns when the data written so far would survive a power cut.
     ///
     /// # Errors
-    /// The system's answer.
+    /// The system's error.
     fn sync(&mut self) -> io::Result<()> {
         Ok(())
     }
@@ -20,17 +20,17 @@ pub trait Store: Write + Send {
 impl Store for File {
     fn sync(&mut self) -> io::Result<()> {
         match self.sync_data() {
-            // A device or pipe has nothing to wait for.
+            // Devices and pipes cannot be synced.
             Err(error) if error.kind() == io::ErrorKind::InvalidInput => Ok(()),
             result => result,
         }
     }
 }
 
-/// Opens the file of part 0, 1 and so on, and names it.
+/// Opens the file of part 0, 1 and so on, and returns its path.
 pub type OpenPart = Box<dyn FnMut(u32) -> Result<(PathBuf, Box<dyn Store>), RecordingError> + Send>;
 
-/// Files `run.mcap`, `run_0001.mcap` and so on.
+/// Creates files `run.mcap`, `run_0001.mcap` and so on.
 pub(super) fn files(first: PathBuf) -> OpenPart {
     Box::new(move |part| {
         let path = part_path(&first, part);
@@ -43,7 +43,7 @@ pub(super) fn files(first: PathBuf) -> OpenPart {
     })
 }
 
-/// The first part has the path itself; further ones stand beside it.
+/// The first part has the path itself; later ones are created beside it.
 #[must_use]
 pub fn part_path(first: &Path, part: u32) -> PathBuf {
     if part == 0 {
@@ -55,12 +55,12 @@ pub fn part_path(first: &Path, part: u32) -> PathBuf {
     first.with_file_name(format!("{stem}_{part:04}{dot}{extension}"))
 }
 
-/// A recording in memory, for tests and for comparing runs. All parts follow each other in it.
+/// A recording in memory, for tests and for comparing runs. All parts are concatenated.
 #[derive(Clone, Debug, Default)]
 pub struct SharedBuffer(Arc<Mutex<Vec<u8>>>);
 
 impl SharedBuffer {
-    /// The bytes so far.
+    /// The bytes written so far.
     #[must_use]
     pub fn bytes(&self) -> Vec<u8> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()

@@ -1,40 +1,40 @@
-//! What a recording holds.
+//! Topics of a recording.
 
 use super::schemas::{self, Schema};
 
-/// What a recording holds, one MCAP channel each.
+/// Topics of a recording, one MCAP channel each.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Topic {
     /// Left image, mono8.
     LeftImage,
     /// Right image, mono8.
     RightImage,
-    /// Left image, PNG or as the camera sent it.
+    /// Left image, PNG or as sent by the camera.
     LeftCompressed,
-    /// Right image, PNG or as the camera sent it.
+    /// Right image, PNG or as sent by the camera.
     RightCompressed,
-    /// Both images in one, as the camera sent it.
+    /// Both images in one, as sent by the camera.
     StereoCompressed,
-    /// All markers as a cloud, metres.
+    /// All markers as a point cloud, metres.
     Points,
-    /// Evidence of a frame and its digest, JSON.
+    /// Figures and digest of a frame, JSON.
     Frame,
-    /// The part in the sensor frame with its covariance, metres and radians.
+    /// Part pose in the sensor frame with its covariance, metres and radians.
     Pose,
-    /// The gripper's width, metres.
+    /// Gripper width, metres.
     Gripper,
-    /// The gripper in the robot's base, metres.
+    /// Gripper pose in the robot's base frame, metres.
     Robot,
-    /// Stages of the job and what was asked of the pipeline, JSON.
+    /// Stages of the job and pipeline actions, JSON.
     Stage,
-    /// How a pair was captured, and what happened to its source, JSON.
+    /// Capture data of a pair and events of its source, JSON.
     Capture,
-    /// Whether and how something touches the gel, JSON.
+    /// Contact state, JSON.
     Contact,
 }
 
 impl Topic {
-    /// All of them, in the order of their channels.
+    /// All topics, in the order of their channels.
     pub const ALL: [Self; 13] = [
         Self::LeftImage,
         Self::RightImage,
@@ -51,7 +51,7 @@ impl Topic {
         Self::Contact,
     ];
 
-    /// Its name.
+    /// Name of the topic.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -71,7 +71,7 @@ impl Topic {
         }
     }
 
-    /// Its message type.
+    /// Message type of the topic.
     #[must_use]
     pub const fn schema(self) -> Schema {
         match self {
@@ -87,7 +87,7 @@ impl Topic {
         }
     }
 
-    /// The topic of that name.
+    /// Finds a topic by its name.
     #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|topic| topic.name() == name)

@@ -1,4 +1,4 @@
-//! The thread that writes a recording, so that no disk makes the robot wait.
+//! The thread that writes a recording, so that the robot never waits for a disk.
 
 use super::images::{ImageEncoder, PairImages};
 use super::part::{Message, PartFile, Preamble};
@@ -12,14 +12,13 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
-/// A chunk is closed after this time, on the clock of the recording: what a power cut can cost, beside the
-/// time that the disk takes.
+/// Longest chunk on the recording's clock. A power cut loses at most this time plus the disk's delay.
 const CHUNK_TIME: Duration = Duration::from_millis(500);
 
-/// What the thread is asked to do.
+/// Commands for the thread.
 pub(super) enum Command {
     Message(Message),
-    /// Images of the pair whose message `begins_pair` came before.
+    /// Images of the pair whose `begins_pair` message came before.
     Images {
         log_ns: u64,
         time_ns: u64,
@@ -27,14 +26,14 @@ pub(super) enum Command {
     },
     /// The rest state, as an attachment of later files.
     Rest(Vec<u8>),
-    /// The time around this moment is to be kept.
+    /// Keep the time around this moment.
     Trigger {
         log_ns: u64,
     },
 }
 
 impl Command {
-    /// Bytes in memory.
+    /// Size in memory, bytes.
     pub fn bytes(&self) -> usize {
         match self {
             Self::Message(message) => message.data.len(),
@@ -45,7 +44,7 @@ impl Command {
     }
 }
 
-/// How the thread writes.
+/// Settings of the thread.
 pub(super) struct Plan {
     pub open: OpenPart,
     pub preamble: Preamble,
@@ -62,9 +61,9 @@ pub(super) struct Worker {
     encoder: ImageEncoder,
     part: u32,
     file: Option<PartFile>,
-    /// When the open chunk began: on the messages' clock, and on this computer's.
+    /// Start of the open chunk on the messages' clock and on this computer's.
     chunk: Option<(u64, Instant)>,
-    /// In the mode `ring`: until when the open file is written.
+    /// In the mode `ring`: time until which the open file is written.
     until_ns: u64,
     report: RecordingReport,
 }
@@ -81,7 +80,7 @@ impl Worker {
         if self.plan.ring.is_none() { self.begin_part() } else { Ok(()) }
     }
 
-    /// Writes until the senders are gone, then closes the recording.
+    /// Writes until all senders are gone, then closes the recording.
     pub fn run(mut self, commands: &Receiver<Command>, shared: &Arc<Shared>) -> RecordingReport {
         let mut result = Ok(());
         while result.is_ok() {
@@ -106,7 +105,7 @@ impl Worker {
     fn patience(&self) -> Duration {
         match (self.plan.clock, self.chunk) {
             (LogClock::Wall, Some((_, begun))) => CHUNK_TIME.saturating_sub(begun.elapsed()),
-            // The source's clock stands still while nothing comes.
+            // The source's clock does not advance while nothing arrives.
             _ => Duration::from_secs(3600),
         }
     }
@@ -156,7 +155,7 @@ impl Worker {
             LogClock::Source => u128::from(message.log_ns.saturating_sub(begun_ns)) >= CHUNK_TIME.as_nanos(),
             LogClock::Wall => begun.elapsed() >= CHUNK_TIME,
         };
-        // Stages are few, and say most of what a cut recording is about.
+        // Stage messages are few, and the most important part of a truncated recording.
         if over || message.topic == Topic::Stage { self.flush() } else { Ok(()) }
     }
 
@@ -196,7 +195,7 @@ impl Worker {
     }
 }
 
-/// Text of a message that says how much did not get into the recording.
+/// A message that reports how many messages were lost.
 pub(super) fn gap_message(log_ns: u64, time_ns: u64, lost: u64) -> Message {
     let note = serde_json::json!({ "event": "recording_gap", "lost_messages": lost });
     let data = messages::string(&note.to_string());

@@ -1,26 +1,26 @@
-//! The file of a run's page.
+//! Writes the page of a run to its file.
 
 use super::{JobReport, PageReport, Trace, page};
 use crate::config::Config;
 use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
-/// The page of a recording: `run.html` beside `run.mcap`.
+/// Path of the page for a recording: `run.html` beside `run.mcap`.
 #[must_use]
 pub fn page_path(recording: &Path) -> PathBuf {
     recording.with_extension("html")
 }
 
 impl PageReport {
-    /// Writes the page of a run that ended with a report, or broke off for a reason.
+    /// Writes the page of a run that ended with a report or broke off.
     ///
-    /// An older page of the same name is replaced. Nothing is left of a page that cannot be written.
+    /// Replaces an older page of the same name. A page that cannot be written completely is removed.
     #[must_use]
     pub fn write(config: &Config, trace: &Trace, ending: Result<&JobReport, &dyn Display>) -> Self {
         let path = page_path(&config.recording.path);
         let written = std::fs::write(&path, page(config, trace, ending));
         let fault = written.err().map(|error| {
-            // The disk may be full: half a page would hide that.
+            // The disk may be full: a partial page would hide that.
             let _ = std::fs::remove_file(&path);
             format!("{} cannot be written: {error}", path.display())
         });

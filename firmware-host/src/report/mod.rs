@@ -1,4 +1,4 @@
-//! What came of a job, and the page that shows it.
+//! The report of a job, and the page that shows it.
 
 mod broken_off;
 mod file;
@@ -19,30 +19,30 @@ use std::path::PathBuf;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Stage {
-    /// Gripper made ready and opened, robot at the part.
+    /// Gripper activated and opened, robot at the part.
     Open,
-    /// The gel without contact.
+    /// Rest frame of the gel without contact.
     Rest,
     /// Closing until the grasp trigger.
     Close,
-    /// The part's pose in the hand.
+    /// Localizing the part in the hand.
     Localize,
-    /// The part in the hand brought to a face of the cell, to know its place better.
+    /// Touching a face of the cell with the held part, to measure its position.
     Touch,
-    /// The part brought above the hole.
+    /// Moving the part above the hole.
     Align,
     /// Lowering until the insertion trigger.
     Insert,
     /// Leaving the hole, with or without the part.
     Retreat,
-    /// The end.
+    /// The job is finished.
     Done,
-    /// No job: sensing alone.
+    /// No job: continuous sensing without a robot.
     Sense,
 }
 
 impl Stage {
-    /// Its name.
+    /// Name of the stage.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -69,10 +69,10 @@ pub struct Figure {
     pub value: f64,
 }
 
-/// What a stage took and gave.
+/// Duration and results of a stage.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct StageReport {
-    /// Which.
+    /// The stage.
     pub stage: Stage,
     /// Time on this computer's clock.
     pub wall_s: f64,
@@ -80,83 +80,83 @@ pub struct StageReport {
     pub source_s: f64,
     /// Stereo pairs recorded.
     pub frames: u64,
-    /// How many of them could not be sensed; the recording says why.
+    /// Number of pairs that could not be processed; the recording has the reasons.
     pub bad_frames: u64,
-    /// What it gave.
+    /// Results.
     pub figures: Vec<Figure>,
 }
 
-/// How a job ended, as far as the robot itself can tell.
+/// How a job ended, as far as the robot itself can determine.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case", tag = "kind")]
 pub enum Outcome {
-    /// The insertion trigger stopped the robot at the depth of the hole, within what is known of the part's
-    /// place.
+    /// The insertion trigger stopped the robot at the depth of the hole, within the uncertainty of the
+    /// part's position.
     Inserted {
-        /// Depth below the rim at the stop, by what is known of the part's place along the axis.
+        /// Depth below the rim at the stop, from the estimated position of the part along the axis.
         depth_mm: f64,
         /// Three standard deviations of that depth.
         within_mm: f64,
     },
     /// The insertion trigger stopped the robot before the depth of the hole.
     Jammed {
-        /// Depth below the rim at the stop, by what is known of the part's place along the axis.
+        /// Depth below the rim at the stop, from the estimated position of the part along the axis.
         depth_mm: f64,
         /// Three standard deviations of that depth.
         within_mm: f64,
     },
     /// The goal was taught.
     Taught {
-        /// Origin of the part in its goal, base frame, as it was localized.
+        /// Origin of the part at its goal as localized, base frame.
         position_mm: [f64; 3],
     },
-    /// Nothing stopped the part as far as the robot went.
+    /// Nothing stopped the part over the whole travel.
     NothingFelt {
-        /// Depth below the rim where the robot gave up.
+        /// Depth below the rim at the end of the travel.
         depth_mm: f64,
     },
     /// Nothing stopped the part on its way to a face of `task.edges`.
     EdgeNotFelt {
-        /// Which of them, from 0.
+        /// Index of the face, from 0.
         edge: usize,
-        /// How far the hand went.
+        /// Travel of the hand.
         travel_mm: f64,
     },
-    /// The fingers came to rest before the grasp trigger.
+    /// The fingers stopped before the grasp trigger.
     NotGrasped {
-        /// Mean marker motion then.
+        /// Mean marker motion at the stop.
         motion_px: f64,
-        /// Opening width then.
+        /// Opening width at the stop.
         width_mm: f64,
     },
     /// The part's pose could not be determined.
     NotLocalized {
-        /// Why.
+        /// The reason.
         reason: String,
     },
-    /// The chance that the part goes into the hole is below `task.min_chance`, after all looks at it.
+    /// After all looks, the probability that the part fits into the hole is below `task.min_chance`.
     Declined {
-        /// Probability that it would go in.
+        /// Probability that it would fit.
         chance: f64,
-        /// Looks at the part.
+        /// Number of looks at the part.
         looks: u32,
-        /// The motion over the hole that is known least, and its standard deviation.
+        /// The least certain motion over the hole, and its standard deviation.
         weakest: String,
     },
-    /// There were no more stereo pairs.
+    /// The source has no more stereo pairs.
     SourceEnded {
-        /// During this stage.
+        /// The stage at that time.
         stage: Stage,
     },
-    /// Somebody asked to stop.
+    /// A stop was requested.
     Interrupted {
-        /// During this stage.
+        /// The stage at that time.
         stage: Stage,
     },
 }
 
 impl Outcome {
-    /// The end of a part that is localized, but not well enough for the hole.
+    /// Outcome for a part that is localized, but not accurately enough for the hole.
     #[must_use]
     pub fn declined(localized: &Localized, forecast: Forecast) -> Self {
         Self::Declined { chance: forecast.chance, looks: localized.looks, weakest: forecast.weakest }
@@ -202,97 +202,97 @@ impl std::fmt::Display for Outcome {
     }
 }
 
-/// What a robot expects of an insertion.
+/// Forecast of an insertion.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Forecast {
-    /// Probability that the part goes in, 0 to 1.
+    /// Probability that the part fits, 0 to 1.
     pub chance: f64,
-    /// The motion over the hole that is known least of those that matter, and its standard deviation.
+    /// The motion over the hole whose uncertainty costs the most room, and its standard deviation.
     pub weakest: String,
-    /// Standard deviation of the tip across the hole, along the direction that is known least.
+    /// Standard deviation of the tip across the hole, along the least certain direction.
     pub lateral_sigma_mm: f64,
 }
 
-/// The part's pose in the hand, with its evidence.
+/// The part's pose in the hand, with figures on its quality.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Localized {
     /// Rows of the 4x4 matrix that maps part coordinates to sensor coordinates, millimetres.
     pub t_sensor_object: [[f64; 4]; 4],
     /// Rows of the 4x4 matrix that maps part coordinates to gripper coordinates, millimetres.
     pub t_gripper_object: [[f64; 4]; 4],
-    /// Whether the iterations came to rest.
+    /// Whether the iterations converged.
     pub converged: bool,
-    /// Iterations.
+    /// Number of iterations.
     pub iterations: u32,
-    /// Points that the template explains.
+    /// Number of inlier points.
     pub inliers: usize,
-    /// Points in contact.
+    /// Number of points in contact.
     pub points: usize,
-    /// Residual of the inliers.
+    /// RMS residual of the inliers.
     pub rmse_mm: f64,
     /// Standard deviations of x y z, millimetres, then rotations, radians (sensor frame).
     pub sigma: [f64; 6],
-    /// Standard deviation of the part's place along the axis of insertion.
+    /// Standard deviation of the part's position along the insertion axis.
     pub axial_sigma_mm: f64,
-    /// What the contact leaves free, in words.
+    /// Directions that the contact leaves free, in words.
     pub free: Vec<String>,
-    /// Looks at the part, touches included; the pose in the gripper is fused from all of them, the rest is
-    /// of the last grasp.
+    /// Looks at the part, including touches. The pose in the gripper is fused from all of them; the other
+    /// figures are of the last grasp.
     pub looks: u32,
-    /// How many of them were touches of a face of the cell.
+    /// Number of touches of a face of the cell among them.
     pub touches: u32,
-    /// What is expected of the insertion, where `task.clearance_mm` says how wide the hole is.
+    /// Forecast of the insertion; present if `task.clearance_mm` is given.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub forecast: Option<Forecast>,
 }
 
-/// What a simulated job really did. The errors are those of the part's pose in the hand as it was
-/// localized, or as it was expected if it was not localized.
+/// Ground truth of a simulated job. The errors are those of the part's localized pose in the hand, or of
+/// the expected pose if it was not localized.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct TruthReport {
-    /// Error of the part's origin across the axis of insertion, as it was localized.
+    /// Error of the part's origin across the insertion axis.
     pub lateral_error_mm: f64,
-    /// Error of the tip across the axis of insertion.
+    /// Error of the tip across the insertion axis.
     pub tip_error_mm: f64,
-    /// Error of the direction of that axis.
+    /// Error of the direction of the insertion axis.
     pub tilt_error_rad: f64,
     /// Error along the axis.
     pub axial_error_mm: f64,
-    /// How deep the part got; negative when it never reached the rim.
+    /// Depth that the part reached; negative if it never reached the rim.
     pub inserted_mm: f64,
-    /// How deep it could have gone in the posture in which it was aligned.
+    /// Depth that it could have reached in the posture in which it was aligned.
     pub limit_mm: f64,
-    /// Distance of the tip from the hole's axis when the hand was farthest into the hole.
+    /// Distance of the tip from the hole's axis at the deepest position of the hand.
     pub hole_offset_mm: f64,
-    /// Angle between the axes of part and hole then.
+    /// Angle between the axes of part and hole at the same moment.
     pub hole_tilt_rad: f64,
-    /// Whether the outcome says what happened.
+    /// Whether the reported outcome is correct.
     pub outcome_is_true: bool,
 }
 
-/// What became of the page of a run.
+/// Result of writing the page of a run.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct PageReport {
-    /// Where it stands.
+    /// Path of the page.
     pub path: PathBuf,
     /// Why it could not be written, if it could not.
     pub fault: Option<String>,
 }
 
-/// What came of a job.
+/// Report of a job.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct JobReport {
     /// How it ended.
     pub outcome: Outcome,
     /// Why it stopped, in one sentence.
     pub why: String,
-    /// The stages that were begun.
+    /// The stages that were started.
     pub stages: Vec<StageReport>,
-    /// From images to results and to stop commands.
+    /// Latencies from images to results and to stop commands.
     pub latency: LatencyReport,
-    /// The part in the hand, once it was found.
+    /// The localized part in the hand, if it was found.
     pub localized: Option<Localized>,
-    /// What really happened, where that is known: in simulation only.
+    /// Ground truth; in simulation only.
     pub truth: Option<TruthReport>,
     /// Digest of all frames' digests, in order.
     pub digest: String,
@@ -301,7 +301,7 @@ pub struct JobReport {
     /// Why the light could not be switched off at the end, if it could not.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub light_fault: Option<String>,
-    /// The page of the run, where one was asked for.
+    /// The page of the run, if requested.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub page: Option<PageReport>,
 }

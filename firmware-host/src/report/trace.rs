@@ -1,4 +1,4 @@
-//! What a run leaves for its page: motion over time, triggers, and the last frame of each stage.
+//! Data of a run for its page: motion over time, triggers, and the last frame of each stage.
 
 use super::{Stage, StageReport};
 use crate::sensing::{Action, SensingError};
@@ -7,41 +7,41 @@ use gelstereo_core::math::DVec2;
 use gelstereo_core::pipeline::Frame;
 use gelstereo_core::track::MarkerState;
 
-/// Beyond it the samples of a plot a thousand pixels wide lie on top of each other.
+/// Largest number of samples; more would overlap in a plot a thousand pixels wide.
 const MAX_SAMPLES: usize = 4096;
-/// Pictures of 640 x 480 pixels take at most 20 MB of memory then. Eight stages may be done eight times.
+/// Largest number of pictures: at most 20 MB for 640 x 480 pixels. Allows eight stages eight times.
 const MAX_PICTURES: usize = 64;
 
-/// Collects what a run's page shows. Its memory is bounded, however long the run takes.
+/// Collects the data of a run's page in bounded memory.
 #[derive(Clone, Debug, Default)]
 pub struct Trace {
     stages: Vec<TracedStage>,
     motion: MotionCurve,
     triggers: Vec<Trigger>,
-    /// Markers in the left image from which motion counts.
+    /// Markers in the left image at the reference frame of motion.
     reference_px: Vec<DVec2>,
-    /// The next frame is the reference.
+    /// Whether the next frame becomes the reference.
     awaits_reference: bool,
-    /// The last image, whose buffer is used again from frame to frame.
+    /// The last image; its buffer is reused.
     last: Picture,
     time_ns: u64,
 }
 
-/// A stage that was begun.
+/// A stage that was started.
 #[derive(Clone, Debug)]
 pub(super) struct TracedStage {
     pub(super) stage: Stage,
-    /// Source's time when it began; unknown before the first pair.
+    /// Source time at its start; unknown before the first pair.
     pub(super) begun_ns: Option<u64>,
     pub(super) ended_ns: Option<u64>,
     pub(super) frames: u64,
     pub(super) bad_frames: u64,
-    /// Absent if the stage did not come to its end.
+    /// `None` if the stage did not complete.
     pub(super) report: Option<StageReport>,
     pub(super) picture: Option<Picture>,
 }
 
-/// The last left image of a stage, and what was sensed in it.
+/// The last left image of a stage, and its result.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Picture {
     pub(super) left: Gray,
@@ -50,11 +50,11 @@ pub(super) struct Picture {
 
 #[derive(Clone, Debug, Default)]
 pub(super) enum Sensed {
-    /// The stage does not sense its frames.
+    /// The stage does not process its frames.
     #[default]
     Nothing,
     Markers(Markers),
-    /// Why the frame could not be sensed.
+    /// Why the frame could not be processed.
     Bad(String),
 }
 
@@ -70,25 +70,25 @@ pub(super) struct Markers {
     pub(super) motion_px: f64,
 }
 
-/// A moment at which motion crossed a trigger, or the end of the job.
+/// Time at which motion crossed a trigger, or the end of the job.
 #[derive(Clone, Debug)]
 pub(super) struct Trigger {
     pub(super) time_ns: u64,
     pub(super) cause: String,
 }
 
-/// Mean marker motion at a moment; `None` for a frame that could not be sensed.
+/// Mean marker motion at one time; `None` for a frame that could not be processed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Sample {
     pub(super) time_ns: u64,
     pub(super) motion_px: Option<f64>,
 }
 
-/// Samples over time. When there are too many, the largest motion of each two stays.
+/// Samples over time. If there are too many, each two are merged and the larger motion is kept.
 #[derive(Clone, Debug)]
 struct MotionCurve {
     samples: Vec<Sample>,
-    /// Frames that become one sample.
+    /// Number of frames per sample.
     stride: u64,
     pending: Option<Sample>,
     merged: u64,
@@ -124,7 +124,7 @@ fn larger(a: Sample, b: Sample) -> Sample {
 }
 
 impl Trace {
-    /// A stage begins. The last image is the picture of the stage before.
+    /// Starts a stage. The last image becomes the picture of the previous stage.
     pub fn begin(&mut self, stage: Stage) {
         self.finish();
         self.stages.push(TracedStage {
@@ -138,13 +138,13 @@ impl Trace {
         });
     }
 
-    /// A pair came that is not sensed.
+    /// Takes a pair that is not processed.
     pub fn passed(&mut self, pair: &StereoPair) {
         self.keep(pair);
         self.last.sensed = Sensed::Nothing;
     }
 
-    /// The pipeline did this with a pair; `frame` is its last good frame.
+    /// Takes the pipeline's result for a pair; `frame` is its last good frame.
     pub fn sensed(&mut self, pair: &StereoPair, result: &Result<(), SensingError>, frame: &Frame) {
         self.keep(pair);
         if result.is_ok() && std::mem::take(&mut self.awaits_reference) {
@@ -162,7 +162,7 @@ impl Trace {
         };
     }
 
-    /// The pipeline was asked for this; `frame` is its last good frame.
+    /// Takes a pipeline action; `frame` is its last good frame.
     pub fn asked(&mut self, action: &Action, frame: &Frame) {
         match action {
             Action::Reset => self.awaits_reference = true,
@@ -171,26 +171,26 @@ impl Trace {
         }
     }
 
-    /// A trigger acted, or the run ends.
+    /// A trigger fired, or the run ends.
     pub fn trigger(&mut self, cause: &str) {
         self.triggers.push(Trigger { time_ns: self.time_ns, cause: cause.to_owned() });
     }
 
-    /// The stage came to its end.
+    /// Completes the stage.
     pub fn end(&mut self, report: &StageReport) {
         if let Some(stage) = self.stages.last_mut() {
             stage.report = Some(report.clone());
         }
     }
 
-    /// The run is over, or a stage: the last image is its picture.
+    /// The run or a stage is over; the last image becomes its picture.
     pub fn finish(&mut self) {
         let ended_ns = self.last_time_ns();
         let pictures = self.stages.iter().filter(|stage| stage.picture.is_some()).count();
         let Some((stage, before)) = self.stages.split_last_mut() else { return };
         stage.ended_ns = ended_ns;
         stage.picture = ended_ns.map(|_| self.last.clone());
-        // The first stages and the last one say most.
+        // Drops the latest earlier picture: the first stages and the last one matter most.
         if pictures >= MAX_PICTURES
             && let Some(older) = before.iter_mut().rev().find(|stage| stage.picture.is_some())
         {
@@ -204,7 +204,7 @@ impl Trace {
         self.last.left.pixels.clone_from(&pair.left.pixels);
     }
 
-    /// Time of the last pair, if there was one.
+    /// Time of the last pair, if any.
     fn last_time_ns(&self) -> Option<u64> {
         (!self.last.left.pixels.is_empty()).then_some(self.time_ns)
     }
@@ -241,7 +241,7 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        /// However long a run is: few samples, in order of time, and the largest motion among them.
+        /// Runs of any length give few samples, ordered in time, including the largest motion.
         #[test]
         fn a_curve_is_bounded_and_keeps_its_peak(count in 1_u64..40_000, peak in 0_u64..40_000) {
             let mut curve = MotionCurve::default();

@@ -1,4 +1,4 @@
-//! Any robot behind a TCP connection with one JSON object a line; docs/robot-bridge.md has the protocol.
+//! Any robot behind a TCP connection, one JSON object per line; protocol in docs/robot-bridge.md.
 
 use super::{Robot, RobotError, RobotStatus};
 use crate::source::monotonic_ns;
@@ -8,9 +8,9 @@ use std::io::{BufRead, BufReader, ErrorKind, Read, Write};
 use std::net::{TcpStream, ToSocketAddrs};
 use std::time::{Duration, Instant};
 
-/// The protocol's version, said by both sides at the start.
+/// Protocol version, sent by both sides at the start.
 const VERSION: u32 = 1;
-/// A longer line is no answer.
+/// Longest valid line.
 const MAX_LINE: u64 = 4096;
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(2);
 
@@ -29,7 +29,7 @@ impl From<&Pose> for WirePose {
 }
 
 impl WirePose {
-    /// A rounded quaternion is made a unit again; one that is far from it is refused.
+    /// Normalises a rounded quaternion; rejects one that is far from a unit quaternion.
     fn pose(&self) -> Option<Pose> {
         let rotation = DQuat::from_array(self.quaternion_xyzw);
         let near_unit = (rotation.length() - 1.0).abs() < 1e-3;
@@ -41,7 +41,7 @@ impl WirePose {
     }
 }
 
-/// What is asked, with a number that the answer repeats.
+/// A request, with a number that its response repeats.
 #[derive(Serialize)]
 struct Request {
     id: u64,
@@ -58,7 +58,7 @@ enum Body {
     Status,
 }
 
-/// What is answered.
+/// A response.
 #[derive(Deserialize)]
 struct Answer {
     id: u64,
@@ -68,7 +68,7 @@ struct Answer {
     moving: Option<bool>,
 }
 
-/// The robot behind a bridge.
+/// A robot behind a bridge.
 pub struct BridgeRobot {
     stream: TcpStream,
     reader: BufReader<TcpStream>,
@@ -79,7 +79,8 @@ pub struct BridgeRobot {
 }
 
 impl BridgeRobot {
-    /// Connects to `host:port` and says how long the robot may hear nothing before it must stop by itself.
+    /// Connects to `host:port` and sends the watchdog time, after which the robot must stop if it
+    /// receives nothing.
     ///
     /// # Errors
     /// [`RobotError`].
@@ -119,7 +120,7 @@ impl BridgeRobot {
         }
     }
 
-    /// Sends a request and waits for its answer; answers to earlier requests are late and are passed over.
+    /// Sends a request and waits for its response; late responses to earlier requests are skipped.
     fn ask(&mut self, body: Body) -> Result<Answer, RobotError> {
         self.id += 1;
         let mut line = serde_json::to_string(&Request { id: self.id, body })

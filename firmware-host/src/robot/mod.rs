@@ -1,4 +1,4 @@
-//! Robots that carry the gripper: the trait that the robot task uses, and the bridge to any controller.
+//! Robots that carry the gripper: the trait used by the robot task, and the bridge to any controller.
 
 mod bridge;
 
@@ -7,40 +7,40 @@ pub use bridge::BridgeRobot;
 use gelstereo_core::math::Pose;
 use std::fmt;
 
-/// What a robot says of itself.
+/// Status of a robot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RobotStatus {
     /// Maps gripper coordinates to base coordinates.
     pub t_base_gripper: Pose,
-    /// Whether it moves.
+    /// Whether it is moving.
     pub moving: bool,
 }
 
-/// Why a robot does not do what it was asked.
+/// Reason why a robot does not carry out a request.
 #[derive(Clone, Debug, PartialEq)]
 pub enum RobotError {
-    /// A speed is not above 0 and finite.
+    /// A speed is not positive and finite.
     Speed {
-        /// Speed asked for.
+        /// Requested speed.
         speed_mm_s: f64,
     },
-    /// Nothing came back.
+    /// No response arrived.
     Silent {
-        /// Where it was waited.
+        /// Address of the bridge.
         address: String,
-        /// For how long.
+        /// Waiting time.
         waited_ms: u64,
     },
-    /// The connection fails.
+    /// The connection failed.
     Connection {
-        /// Which.
+        /// Address of the bridge.
         address: String,
-        /// The system's answer.
+        /// The system's error.
         message: String,
     },
-    /// The robot reports a fault, or answers with what is no answer.
+    /// The robot reports a fault, or its response is invalid.
     Device {
-        /// What it said.
+        /// The robot's message.
         message: String,
     },
 }
@@ -65,31 +65,32 @@ impl fmt::Display for RobotError {
 
 impl std::error::Error for RobotError {}
 
-/// A robot arm with the gripper at its flange. Moves return at once; [`Robot::status`] says when they are over.
+/// A robot arm with the gripper at its flange. Moves return at once; [`Robot::status`] shows when they
+/// are over.
 pub trait Robot {
-    /// Starts to move the gripper on a straight line to a pose in the base frame, turning evenly on the way.
+    /// Starts a straight-line motion of the gripper to a pose in the base frame, turning at a constant rate.
     ///
     /// # Errors
     /// [`RobotError`].
     fn move_to(&mut self, t_base_gripper: &Pose, speed_mm_s: f64) -> Result<(), RobotError>;
 
-    /// Begins to stop without waiting for the robot, where the driver can; [`Self::stop`] follows in any case.
+    /// Starts a stop without waiting for the robot, if the driver can; [`Self::stop`] always follows.
     fn begin_stop(&mut self) {}
 
-    /// Stops where it is.
+    /// Stops at the present position.
     ///
     /// # Errors
     /// [`RobotError::Device`].
     fn stop(&mut self) -> Result<(), RobotError>;
 
-    /// Asks for the present state.
+    /// Reads the present state.
     ///
     /// # Errors
     /// [`RobotError::Device`].
     fn status(&mut self) -> Result<RobotStatus, RobotError>;
 
-    /// When the last bytes to the robot were on the wire, nanoseconds of `CLOCK_MONOTONIC`. A simulated robot has no
-    /// wire.
+    /// Time when the last bytes to the robot were on the wire, nanoseconds of `CLOCK_MONOTONIC`; `None`
+    /// for a simulated robot.
     fn sent_ns(&self) -> Option<u64> {
         None
     }

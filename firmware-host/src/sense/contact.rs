@@ -1,11 +1,11 @@
-//! What a frame says of contact, and when a trigger is crossed.
+//! Contact state of a frame, and crossings of the triggers.
 
 use crate::config::{Config, SenseConfig};
 use gelstereo_core::params::ContactParams;
 use gelstereo_core::pipeline::Frame;
 use serde::{Deserialize, Serialize};
 
-/// A trigger of the robot task, felt here without a robot.
+/// A trigger of the robot task, evaluated here without a robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Trigger {
@@ -18,7 +18,7 @@ pub enum Trigger {
 /// The moment at which the mean marker motion crossed a trigger.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Crossing {
-    /// Which.
+    /// The trigger.
     pub trigger: Trigger,
     /// Whether the motion is above it now.
     pub above: bool,
@@ -27,19 +27,19 @@ pub struct Crossing {
 /// Contact in one frame.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Contact {
-    /// Whether something touches the gel: at least `sense.min_salient` markers are salient.
+    /// Whether the gel is in contact: at least `sense.min_salient` markers are salient.
     pub touching: bool,
-    /// Markers in contact.
+    /// Number of markers in contact.
     pub salient: u32,
     /// Largest indentation of a marker in contact; 0 without contact.
     pub max_indentation_mm: f64,
     /// Mean motion of the markers since the rest state.
     pub motion_px: f64,
-    /// Triggers that were crossed in this frame.
+    /// Triggers crossed in this frame.
     pub crossings: Vec<Crossing>,
 }
 
-/// Follows contact from frame to frame.
+/// Tracks contact from frame to frame.
 #[derive(Clone, Debug)]
 pub struct ContactMeter {
     min_salient: u32,
@@ -47,7 +47,7 @@ pub struct ContactMeter {
 }
 
 impl ContactMeter {
-    /// With these settings, no trigger exceeded.
+    /// Starts with every trigger below its threshold.
     #[must_use]
     pub fn new(config: &Config) -> Self {
         let SenseConfig { min_salient, .. } = config.sense;
@@ -57,7 +57,7 @@ impl ContactMeter {
         Self { min_salient, triggers }
     }
 
-    /// Contact in the next frame.
+    /// Evaluates contact in the next frame.
     pub fn next(&mut self, frame: &Frame) -> Contact {
         let pressed = frame.indentation_mm.iter().zip(&frame.salient).filter(|&(_, &salient)| salient);
         let (salient, max_indentation_mm) =
@@ -94,8 +94,8 @@ mod tests {
     }
 
     proptest! {
-        /// However the motion goes, crossings of each trigger alternate, and the last one says where the
-        /// motion is.
+        /// For any sequence of motions, the crossings of each trigger alternate, and the last one agrees
+        /// with the final motion.
         #[test]
         fn crossings_alternate(motions in prop::collection::vec(0.0..20.0_f64, 1..60)) {
             let config = Config::default();

@@ -1,4 +1,4 @@
-//! When the part is localized while it touches the gel.
+//! Decides when the part is localized during contact.
 
 use crate::config::{Config, LocalizeWhen};
 use crate::sensing::Action;
@@ -6,24 +6,24 @@ use gelstereo_core::frames::WidthError;
 use gelstereo_core::math::Pose;
 use gelstereo_core::register::TrackingStatus;
 
-/// Asks for localizations: one that searches where the part is expected when contact begins, then one a frame
-/// that follows, and after a loss a search now and then.
+/// Schedules localizations. The start of contact triggers a search around the expected pose. Every later
+/// frame tracks the part; after a loss, a search runs at most once per pause.
 #[derive(Clone, Debug)]
 pub struct Follower {
     when: LocalizeWhen,
     expected: Pose,
     pause_ns: u64,
     in_contact: bool,
-    /// When the last search found nothing.
+    /// Time of the last search that found nothing.
     lost_at_ns: Option<u64>,
     tracking: Option<TrackingStatus>,
 }
 
 impl Follower {
-    /// With these settings, without contact.
+    /// Starts without contact.
     ///
     /// # Errors
-    /// [`WidthError`] when the mount has no such grasp.
+    /// [`WidthError`] when the mount cannot reach the grasp width.
     pub fn new(config: &Config) -> Result<Self, WidthError> {
         let settings = &config.sense;
         let expected = match settings.t_sensor_object {
@@ -43,13 +43,13 @@ impl Follower {
         })
     }
 
-    /// How the last pose was come by; `None` without contact.
+    /// Tracking status of the last pose; `None` without contact.
     #[must_use]
     pub const fn tracking(&self) -> Option<TrackingStatus> {
         self.tracking
     }
 
-    /// What to ask for in the frame of this moment.
+    /// Pipeline actions for the frame at this time.
     pub fn actions(&mut self, touching: bool, time_ns: u64) -> Vec<Action> {
         if !touching || self.when == LocalizeWhen::Never {
             self.let_go();
@@ -64,8 +64,8 @@ impl Follower {
         }
     }
 
-    /// What came of [`Action::Follow`]: `None` when there was no pose at all. Returns whether the tracking
-    /// changed.
+    /// Takes the result of [`Action::Follow`]; `None` means no pose at all. Returns whether the tracking
+    /// status changed.
     pub fn take(&mut self, tracking: Option<TrackingStatus>, time_ns: u64) -> bool {
         let is_lost = matches!(tracking, None | Some(TrackingStatus::Lost));
         self.lost_at_ns = is_lost.then_some(time_ns);
@@ -73,7 +73,7 @@ impl Follower {
         self.tracking.replace(tracking) != Some(tracking)
     }
 
-    /// Nothing touches the gel.
+    /// Ends contact: nothing touches the gel.
     pub const fn let_go(&mut self) {
         self.in_contact = false;
         self.lost_at_ns = None;

@@ -1,10 +1,10 @@
-//! Quantiles of durations that come for ever, in fixed memory.
+//! Quantiles of an unbounded stream of durations in fixed memory.
 
 use std::time::Duration;
 
-/// Bins per doubling: a quantile is at most 1/16 of a doubling, 4.4 %, too long.
+/// Bins per doubling: a quantile is too long by at most 1/16 of a doubling (4.4 %).
 const BINS_PER_DOUBLING: f64 = 16.0;
-/// From 1 µs to 2^30 µs, 18 minutes; what is outside counts to the first or the last bin.
+/// From 1 µs to 2^30 µs (18 minutes); durations outside count in the first or last bin.
 const BINS: usize = 30 * BINS_PER_DOUBLING as usize + 1;
 
 /// Counts of durations in bins of equal ratio. Counts are exact; a quantile is the upper edge of its bin.
@@ -31,20 +31,19 @@ impl Histogram {
         self.max = self.max.max(duration);
     }
 
-    /// How many were counted.
+    /// Number of durations counted.
     #[must_use]
     pub const fn total(&self) -> u64 {
         self.total
     }
 
-    /// The longest.
+    /// The longest duration.
     #[must_use]
     pub const fn max(&self) -> Duration {
         self.max
     }
 
-    /// A duration that the share `q` of all does not exceed, at most 4.4 % above the smallest such one;
-    /// `None` before the first.
+    /// The `q` quantile, at most 4.4 % too long; `None` before the first duration.
     #[must_use]
     pub fn quantile(&self, q: f64) -> Option<Duration> {
         let wanted = ((q * self.total as f64).ceil() as u64).max(1);
@@ -57,7 +56,7 @@ impl Histogram {
         Some(edge.min(self.max))
     }
 
-    /// Counts those of `other` too.
+    /// Adds the counts of `other`.
     pub fn merge(&mut self, other: &Self) {
         for (count, more) in self.counts.iter_mut().zip(&other.counts) {
             *count += more;
@@ -66,7 +65,7 @@ impl Histogram {
         self.max = self.max.max(other.max);
     }
 
-    /// Forgets all.
+    /// Clears all counts.
     pub fn clear(&mut self) {
         self.counts.fill(0);
         self.total = 0;
@@ -91,7 +90,7 @@ mod tests {
             let rank = ((q * micros.len() as f64).ceil() as usize).max(1);
             let exact = micros[rank - 1] as f64;
             let found = histogram.quantile(q).map_or(0.0, |d| d.as_secs_f64() * 1e6);
-            // The clock's nanoseconds round.
+            // Durations are rounded to nanoseconds.
             prop_assert!(found > exact - 0.002 && found <= exact * 1.0443 + 0.002, "{found} for {exact}");
             prop_assert_eq!(histogram.total(), micros.len() as u64);
         }

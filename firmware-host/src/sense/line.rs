@@ -1,4 +1,4 @@
-//! Results as JSON, one line a frame.
+//! Results as JSON, one line per frame.
 
 use super::contact::Contact;
 use crate::notes::tracking_name;
@@ -8,53 +8,52 @@ use gelstereo_core::pipeline::Frame;
 use gelstereo_core::register::{Registration, TrackingStatus};
 use serde::{Deserialize, Serialize};
 
-/// Everything that one stereo pair gave.
+/// All results of one stereo pair.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct FrameLine {
-    /// The frame source's time.
+    /// Time on the frame source's clock.
     pub time_ns: u64,
     /// How the pair was captured.
     pub capture: Capture,
-    /// Frames since the rest frame; absent for a frame that could not be sensed.
+    /// Frames since the rest frame; absent for a frame that could not be processed.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub index: Option<u64>,
-    /// Contact; absent while the rest state is not known.
+    /// Contact; absent until the rest state is learned.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub contact: Option<Contact>,
-    /// The part's pose, while it is localized.
+    /// The part's pose; absent when it is not localized.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub pose: Option<PoseLine>,
-    /// Positions of all markers in the sensor frame, millimetres, where they were asked for.
+    /// Positions of all markers in the sensor frame, millimetres; absent unless requested.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub points_mm: Option<Vec<[f64; 3]>>,
     /// Digest of all results of the frame.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub digest: Option<String>,
-    /// Why the frame could not be sensed, or the part not localized.
+    /// Why the frame could not be processed or the part could not be localized.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub error: Option<String>,
 }
 
-/// The part in the hand.
+/// Pose of the held part.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PoseLine {
-    /// `found`, `followed` or `lost`; a lost part's pose is the best one that a search gave, and not to be
-    /// relied on.
+    /// `found`, `followed` or `lost`. The pose of a lost part is the best search result and is not reliable.
     pub tracking: String,
     /// Rows of the 4x4 matrix that maps part coordinates to sensor coordinates, millimetres.
     pub t_sensor_object: [[f64; 4]; 4],
     /// Standard deviations of x y z, millimetres, then of rotations about x y z, radians (sensor frame).
     pub sigma: [f64; 6],
-    /// Residual of the inliers.
+    /// RMS residual of the inliers.
     pub rmse_mm: f64,
-    /// Points that the part explains.
+    /// Number of inlier points.
     pub inliers: usize,
-    /// What the contact leaves free, in words.
+    /// Directions that the contact leaves free, in words.
     pub free: Vec<String>,
 }
 
 impl PoseLine {
-    /// Of a registration and its covariance (millimetres, radians).
+    /// From a registration and its covariance (millimetres, radians).
     #[must_use]
     pub fn new(found: &Registration, tracking: TrackingStatus, covariance: &[[f64; 6]; 6]) -> Self {
         Self {
@@ -69,7 +68,7 @@ impl PoseLine {
 }
 
 impl FrameLine {
-    /// Adds what a good frame gave.
+    /// Adds the results of a good frame.
     pub fn add_frame(&mut self, frame: &Frame, with_points: bool) {
         self.index = Some(frame.index);
         self.digest = Some(format!("{:016x}", frame.digest()));

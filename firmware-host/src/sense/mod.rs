@@ -1,8 +1,7 @@
-//! Sensing alone, for ever: points, contact and pose from stereo pairs, without a robot.
+//! Continuous sensing without a robot: points, contact and pose from stereo pairs.
 //!
-//! Frames are sensed one after the other on one thread; recording, publishing and printing wait elsewhere.
-//! What the pipeline is asked besides frames is recorded as the robot task records it, so that a recording
-//! replays to the same bits.
+//! One thread processes the frames in order; recording, publishing and printing wait on other threads.
+//! Pipeline actions are recorded as in the robot task, so that a recording replays bit for bit.
 
 mod contact;
 mod follow;
@@ -34,21 +33,21 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use supervisor::Supervisor;
 
-/// Longest wait for a pair before the flags are looked at again.
+/// Longest wait for a pair before the flags are checked again.
 const STEP: Duration = Duration::from_millis(200);
-/// How often it says how it goes.
+/// Interval between status reports.
 const STATUS_EVERY: Duration = Duration::from_secs(1);
 
-/// Flags that others raise.
+/// Flags set by other threads.
 #[derive(Debug, Default)]
 pub struct Control {
     /// Ends sensing.
     pub stop: AtomicBool,
-    /// The next good frames make a new rest state: nothing must touch the gel. Lowered once it is heard.
+    /// Learns a new rest state from the next good frames; nothing may touch the gel. Cleared when acted on.
     pub relearn: AtomicBool,
 }
 
-/// What sensing works with.
+/// Inputs and outputs of sensing.
 pub struct Parts<'a> {
     /// Settings.
     pub config: &'a Config,
@@ -58,24 +57,24 @@ pub struct Parts<'a> {
     pub sensing: Sensing,
     /// Where results go.
     pub outputs: Outputs,
-    /// Who watches.
+    /// Reports the state to a supervisor.
     pub supervisor: Supervisor,
-    /// Ends after so many pairs; `None` for ever.
+    /// Ends after this many pairs; `None` for no limit.
     pub max_frames: Option<u64>,
 }
 
-/// How sensing ended.
+/// Result of a sensing run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Ended {
-    /// Why.
+    /// Why it ended.
     pub reason: &'static str,
-    /// How it went.
+    /// Status over the whole run.
     pub status: Status,
-    /// What became of the outputs.
+    /// How the outputs were closed.
     pub closed: Closed,
 }
 
-/// Sensing, until it is stopped or its source ends.
+/// Sensing loop, until it is stopped or its source ends.
 pub struct Sense<'a> {
     parts: Parts<'a>,
     control: &'a Control,
@@ -86,24 +85,24 @@ pub struct Sense<'a> {
     follower: Follower,
     meter: Meter,
     touching: bool,
-    /// The last frame was bad, which is said once.
+    /// The last frame was bad; reported once per run of bad frames.
     last_was_bad: bool,
-    /// The gel was not at rest while the rest state was learned, which is said once.
+    /// The gel was not at rest while the rest state was learned; reported once.
     is_restless: bool,
     last_good: Instant,
     begun: Instant,
     last_status: Instant,
     last_alive: Instant,
-    /// Outputs that failed, and why.
+    /// Descriptions of outputs that failed.
     lost_outputs: Vec<String>,
     outputs_at_start: usize,
 }
 
 impl<'a> Sense<'a> {
-    /// Ready to run; `say` hears all that there is to tell.
+    /// Prepares the loop; `say` receives all reports.
     ///
     /// # Errors
-    /// [`SenseError::Width`] when the mount has no such grasp.
+    /// [`SenseError::Width`] when the mount cannot reach the grasp width.
     pub fn new(
         parts: Parts<'a>,
         control: &'a Control,
@@ -131,11 +130,10 @@ impl<'a> Sense<'a> {
         })
     }
 
-    /// Senses until the source ends, somebody stops it, or no output is left. Closes the outputs whatever
-    /// happens.
+    /// Runs until the source ends, a stop is requested, or no output is left. Always closes the outputs.
     ///
     /// # Errors
-    /// [`SenseError::Source`] when the source breaks.
+    /// [`SenseError::Source`] when the source fails.
     pub fn run(mut self) -> Result<Ended, SenseError> {
         let started =
             Report::Started { source: self.parts.source.name.clone(), outputs: self.parts.outputs.names() };
@@ -186,7 +184,7 @@ impl<'a> Sense<'a> {
         (self.say)(&Report::Source(event));
     }
 
-    /// Senses the pair and hands out what it gave, or why it gave nothing.
+    /// Processes the pair and writes its results, or the reason for failure.
     fn frame(&mut self) {
         let begun = Instant::now();
         let (time_ns, capture) = (self.pair.time_ns, self.pair.capture);
@@ -244,7 +242,7 @@ impl<'a> Sense<'a> {
         self.localize(line);
     }
 
-    /// Contact and triggers of the last frame.
+    /// Evaluates contact and triggers of the last frame.
     fn touch(&mut self, line: &mut FrameLine) {
         let time_ns = self.pair.time_ns;
         let contact = self.contact.next(self.parts.sensing.frame());
@@ -263,7 +261,7 @@ impl<'a> Sense<'a> {
         line.contact = Some(contact);
     }
 
-    /// The part in the last frame, if it is to be localized.
+    /// Localizes the part in the last frame where this is due.
     fn localize(&mut self, line: &mut FrameLine) {
         let time_ns = self.pair.time_ns;
         for action in self.follower.actions(self.touching, time_ns) {
@@ -299,7 +297,7 @@ impl<'a> Sense<'a> {
         line.pose = Some(PoseLine::new(found, tracking, &covariance));
     }
 
-    /// Asks something of the pipeline, and records that it was asked and what came of it.
+    /// Runs a pipeline action, and records it with its result.
     fn act(&mut self, action: &Action) -> Result<Option<Registration>, String> {
         let result = self.parts.sensing.act(action);
         let tracking = self.parts.sensing.tracking();
@@ -308,9 +306,9 @@ impl<'a> Sense<'a> {
         result.map_err(|error| error.to_string())
     }
 
-    /// The next good frame is the rest frame.
+    /// Makes the next good frame the rest frame.
     fn reset(&mut self) {
-        // Only localizations can be refused.
+        // Only localizations can fail.
         let _ = self.act(&Action::Reset);
     }
 
@@ -330,7 +328,7 @@ impl<'a> Sense<'a> {
         }
     }
 
-    /// Says how it goes, to whom it concerns.
+    /// Sends watchdog signals and periodic status reports.
     fn supervise(&mut self) {
         let alive_every =
             self.parts.supervisor.alive_within().map_or(STATUS_EVERY, |within| STATUS_EVERY.min(within / 3));

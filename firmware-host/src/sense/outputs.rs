@@ -1,4 +1,4 @@
-//! Where results go: a recording, publishers, lines of JSON.
+//! Outputs for results: a recording, publishers and JSON lines.
 
 use super::line::FrameLine;
 use super::report::Report;
@@ -9,42 +9,42 @@ use std::collections::BTreeMap;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
-/// How long lines may still be written at the end.
+/// Longest time for writing the remaining lines at the end.
 const LAST_LINES: Duration = Duration::from_secs(2);
 
-/// Lines of JSON on their way.
+/// Queue of JSON lines.
 #[derive(Debug)]
 pub struct Lines {
-    /// Takes lines without their end.
+    /// Takes lines without line terminators.
     pub outlet: Outlet<String>,
-    /// Whether a line has the points of all markers.
+    /// Whether a line includes the points of all markers.
     pub with_points: bool,
-    /// Whether a full queue drops lines; else sensing waits for the reader.
+    /// Whether a full queue drops lines; otherwise sensing waits for the reader.
     pub may_drop: bool,
 }
 
-/// All outputs. One that fails takes no more; the others go on.
+/// All outputs. One that fails is removed; the others continue.
 #[derive(Default)]
 pub struct Outputs {
-    /// A recording that replays.
+    /// A recording that can be replayed.
     pub recording: Option<Recording>,
-    /// Live listeners.
+    /// Publishers for live subscribers.
     pub publishers: Vec<Publisher>,
-    /// One line a frame.
+    /// JSON, one line per frame.
     pub lines: Option<Lines>,
 }
 
-/// What became of the outputs.
+/// How the outputs were closed.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Closed {
     /// The recording, if there was one.
     pub recording: Option<RecordingReport>,
-    /// Why lines were lost, if they were.
+    /// Why lines were lost, if any were.
     pub lines: Option<String>,
 }
 
 impl Outputs {
-    /// What they are, in words.
+    /// Names of the outputs.
     #[must_use]
     pub fn names(&self) -> Vec<String> {
         let recording = self.recording.as_ref().map(|_| "a recording".to_owned());
@@ -53,20 +53,20 @@ impl Outputs {
         recording.into_iter().chain(published).chain(lines).collect()
     }
 
-    /// One message to the recording and the publishers.
+    /// Writes one message to the recording and the publishers.
     pub fn message(&mut self, topic: Topic, time_ns: u64, message: &[u8]) {
         self.recording.iter_mut().for_each(|recording| recording.write(topic, time_ns, message));
         self.publish(topic, time_ns, message);
     }
 
-    /// A message of text, made only if anybody takes it.
+    /// Writes a text message; the text is built only if an output takes it.
     pub fn text(&mut self, topic: Topic, time_ns: u64, text: impl FnOnce() -> String) {
         if self.recording.is_some() || !self.publishers.is_empty() {
             self.message(topic, time_ns, &messages::string(&text()));
         }
     }
 
-    /// A pair's images and how it was captured.
+    /// Writes a pair's images and capture data.
     pub fn pair(&mut self, pair: &StereoPair) {
         let time_ns = pair.time_ns;
         self.recording.iter_mut().for_each(|recording| recording.write_pair(pair));
@@ -81,7 +81,7 @@ impl Outputs {
         self.publish(Topic::Capture, time_ns, &messages::string(&note));
     }
 
-    /// What happened to the source.
+    /// Records an event of the source.
     pub fn event(&mut self, time_ns: u64, event: &SourceEvent) {
         self.recording.iter_mut().for_each(|recording| recording.event(time_ns, event));
         if !self.publishers.is_empty() {
@@ -94,7 +94,7 @@ impl Outputs {
         self.publishers.iter_mut().for_each(|publisher| publisher.write(topic, time_ns, message));
     }
 
-    /// A frame's line; `stop` ends the wait for a slow reader.
+    /// Writes a frame's line; `stop` ends the wait for a slow reader.
     pub fn line(&self, line: &FrameLine, stop: &AtomicBool) {
         let Some(lines) = &self.lines else { return };
         let overflow = if lines.may_drop { Overflow::DropOldest } else { Overflow::WaitUnless(stop) };
@@ -103,7 +103,7 @@ impl Outputs {
         lines.outlet.push(text, bytes, overflow);
     }
 
-    /// Messages and lines that were dropped since nobody took them in time.
+    /// Numbers of messages and lines dropped because of slow readers.
     #[must_use]
     pub fn dropped(&self) -> BTreeMap<String, u64> {
         let published = self.publishers.iter().map(|p| (p.protocol().name().to_owned(), p.dropped()));
@@ -111,7 +111,7 @@ impl Outputs {
         published.chain(lines).collect()
     }
 
-    /// Outputs that failed, each reported once: they are taken out.
+    /// Removes outputs that failed, and reports each once.
     pub fn take_failed(&mut self) -> Vec<Report> {
         let mut failed = Vec::new();
         let mut lost = |output: &str, reason| {
@@ -119,7 +119,7 @@ impl Outputs {
         };
         if let Some(reason) = self.recording.as_ref().and_then(MessageSink::fault) {
             lost("the recording", reason);
-            // What it wrote is closed as well as the disk lets it; the fault is known already.
+            // Closes what was written as far as the disk allows; the fault is already reported.
             let _ = self.recording.take().map(Recording::finish);
         }
         self.publishers.retain(|publisher| {
@@ -135,7 +135,7 @@ impl Outputs {
         failed
     }
 
-    /// Closes all, within seconds.
+    /// Closes all outputs within seconds.
     #[must_use]
     pub fn finish(&mut self) -> Closed {
         for publisher in self.publishers.drain(..) {

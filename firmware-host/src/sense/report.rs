@@ -1,4 +1,4 @@
-//! What sensing says while it runs.
+//! Reports issued while sensing runs.
 
 use super::contact::Crossing;
 use super::histogram::Histogram;
@@ -9,19 +9,19 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-/// Median, 99th percentile and longest of some durations.
+/// Median, 99th percentile and maximum of a set of durations.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Quantiles {
-    /// Half of them take at most so long, to 4.4 %; absent where none was measured.
+    /// Median, to 4.4 %; absent where nothing was measured.
     pub p50_ms: Option<f64>,
-    /// 99 % of them take at most so long, to 4.4 %.
+    /// 99th percentile, to 4.4 %.
     pub p99_ms: Option<f64>,
-    /// The longest.
+    /// Maximum.
     pub max_ms: Option<f64>,
 }
 
 impl Quantiles {
-    /// Of the durations that were counted.
+    /// Quantiles of a histogram.
     #[must_use]
     pub fn of(histogram: &Histogram) -> Self {
         let ms = |duration: Duration| duration.as_secs_f64() * 1e3;
@@ -47,24 +47,24 @@ impl std::fmt::Display for Quantiles {
 pub struct Totals {
     /// Stereo pairs taken.
     pub frames: u64,
-    /// How many of them could not be sensed.
+    /// Number of pairs that could not be processed.
     pub bad_frames: u64,
-    /// Pairs that the source lost or passed over.
+    /// Pairs that the source lost or skipped.
     pub dropped: u64,
-    /// Events of the source: losses of connection, stalls, corrupt frames and others.
+    /// Events of the source, such as lost connections, stalls and corrupt frames.
     pub source_events: u64,
 }
 
-/// How it goes: once a second, and at the end for the whole time.
+/// Status of the last second, or at the end of the whole run.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Status {
-    /// Seconds that it is about.
+    /// Length of the interval in seconds.
     pub over_s: f64,
-    /// Stereo pairs in that time.
+    /// Stereo pairs in the interval.
     pub frames: u64,
-    /// Pairs a second in that time.
+    /// Pairs per second in the interval.
     pub rate_hz: f64,
-    /// Pairs that the source lost or passed over in that time.
+    /// Pairs that the source lost or skipped in the interval.
     pub dropped: u64,
     /// From the driver's timestamp to the result; absent where the source has no driver.
     pub latency: Quantiles,
@@ -72,16 +72,16 @@ pub struct Status {
     pub compute: Quantiles,
     /// Counts since the start.
     pub totals: Totals,
-    /// Messages that publishers dropped since the start, since their listeners were too slow.
+    /// Messages that publishers dropped since the start because subscribers were too slow.
     pub unpublished: BTreeMap<String, u64>,
-    /// Whether the rest state is known.
+    /// Whether the rest state is learned.
     pub rest_known: bool,
-    /// Whether something touches the gel.
+    /// Whether the gel is in contact.
     pub touching: bool,
-    /// How the last pose was come by.
+    /// Tracking status of the last pose.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub pose: Option<&'static str>,
-    /// Why it is not well, if it is not.
+    /// Description of the trouble, if any.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub trouble: Option<String>,
 }
@@ -111,85 +111,85 @@ impl std::fmt::Display for Status {
     }
 }
 
-/// One thing that sensing says.
+/// One report.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case", tag = "report")]
 pub enum Report {
-    /// It has begun.
+    /// Sensing began.
     Started {
-        /// What stereo pairs come from.
+        /// Name of the source.
         source: String,
-        /// Where results go.
+        /// Names of the outputs.
         outputs: Vec<String>,
     },
-    /// Something happened to the source.
+    /// An event of the source.
     Source(SourceEvent),
-    /// The rest state is known.
+    /// The rest state was learned.
     RestLearned {
-        /// Markers of the lattice.
+        /// Number of lattice markers.
         markers: usize,
     },
-    /// The rest state is learned anew.
+    /// The rest state is being learned again.
     RestForgotten {
-        /// Why.
+        /// The reason.
         reason: &'static str,
     },
     /// Contact began or ended.
     Touch {
-        /// Whether something touches the gel now.
+        /// Whether the gel is in contact now.
         touching: bool,
-        /// The frame source's time.
+        /// Time on the frame source's clock.
         time_ns: u64,
     },
     /// A trigger was crossed.
     Trigger {
-        /// Which, and whether the motion is above it now.
+        /// The trigger, and whether the motion is above it now.
         #[serde(flatten)]
         crossing: Crossing,
-        /// The frame source's time.
+        /// Time on the frame source's clock.
         time_ns: u64,
     },
     /// A pose was found, or the part was lost.
     Pose {
-        /// How the pose was come by.
+        /// Tracking status of the pose.
         tracking: &'static str,
-        /// The frame source's time.
+        /// Time on the frame source's clock.
         time_ns: u64,
     },
-    /// A frame could not be sensed, the first one in a row of such.
+    /// A frame could not be processed; only the first of a run is reported.
     BadFrame {
-        /// Why.
+        /// The reason.
         reason: String,
-        /// The frame source's time.
+        /// Time on the frame source's clock.
         time_ns: u64,
     },
-    /// An output takes no more; sensing goes on.
+    /// An output failed; sensing continues.
     OutputLost {
-        /// Which output.
+        /// Name of the output.
         output: String,
-        /// Why.
+        /// The reason.
         reason: String,
     },
-    /// Once a second.
+    /// Sent once per second.
     Status(Status),
-    /// The end.
+    /// Sensing ended.
     Ended {
         /// Why it ended.
         reason: &'static str,
-        /// How it went.
+        /// Status over the whole run.
         #[serde(flatten)]
         status: Status,
     },
 }
 
 impl Report {
-    /// A pose's tracking.
+    /// Report of a pose's tracking status.
     #[must_use]
     pub const fn pose(tracking: TrackingStatus, time_ns: u64) -> Self {
         Self::Pose { tracking: tracking_name(tracking), time_ns }
     }
 
-    /// `error`, `warning` or `info`.
+    /// Log level: `error`, `warning` or `info`.
     #[must_use]
     pub fn level(&self) -> &'static str {
         match self {
@@ -229,7 +229,7 @@ impl std::fmt::Display for Report {
     }
 }
 
-/// Collects what [`Status`] says.
+/// Collects the figures of [`Status`].
 #[derive(Clone, Debug, Default)]
 pub struct Meter {
     latency: [Histogram; 2],
@@ -240,21 +240,21 @@ pub struct Meter {
     pub totals: Totals,
 }
 
-/// What one pair adds.
+/// Contribution of one pair.
 #[derive(Clone, Copy, Debug)]
 pub struct PairCost {
     /// From the driver's timestamp to the result.
     pub latency: Option<Duration>,
     /// From the decoded pair to the result.
     pub compute: Duration,
-    /// Pairs lost before it.
+    /// Pairs lost before this one.
     pub dropped: u64,
-    /// Whether it could be sensed.
+    /// Whether it was processed successfully.
     pub good: bool,
 }
 
 impl Meter {
-    /// Counts a pair.
+    /// Adds a pair.
     pub fn pair(&mut self, cost: &PairCost) {
         if let Some(latency) = cost.latency {
             self.latency[0].add(latency);
@@ -267,7 +267,7 @@ impl Meter {
         self.totals.bad_frames += u64::from(!cost.good);
     }
 
-    /// What there is to say of the time since the last call, `over` long.
+    /// Status since the last call, `over` ago.
     pub fn interval(&mut self, over: Duration) -> Status {
         let status = Status {
             dropped: self.dropped,
@@ -277,7 +277,7 @@ impl Meter {
         status
     }
 
-    /// What there is to say of the whole time, `over` long.
+    /// Status of the whole run, `over` long.
     pub fn whole(&mut self, over: Duration) -> Status {
         self.close_interval();
         let Totals { frames, dropped, .. } = self.totals;

@@ -1,22 +1,22 @@
-//! Learning the rest state: the first good frames that show a gel at rest.
+//! Learns the rest state from the first good frames of a gel at rest.
 
 use crate::config::SenseConfig;
 use gelstereo_core::pipeline::Frame;
 
-/// What a good frame did to the learning.
+/// Effect of a good frame on learning.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RestStep {
-    /// More frames are wanted.
+    /// More frames are needed.
     Learning,
-    /// The gel moves or is touched: the next frame shall be the rest frame.
+    /// The gel moves or is touched: the next frame becomes the rest frame.
     Restart,
     /// This frame completed the rest state.
     Learned,
-    /// The rest state was known before this frame.
+    /// The rest state was already known.
     Known,
 }
 
-/// How far the rest state is known.
+/// Progress of learning the rest state.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct RestState {
     steady: u32,
@@ -24,18 +24,18 @@ pub struct RestState {
 }
 
 impl RestState {
-    /// Whether the rest state is known.
+    /// Whether the rest state is learned.
     #[must_use]
     pub const fn is_known(&self) -> bool {
         self.known
     }
 
-    /// Learns anew.
+    /// Starts learning again.
     pub const fn forget(&mut self) {
         (self.steady, self.known) = (0, false);
     }
 
-    /// Takes the next good frame. Its first one is the rest frame; the others must show the same gel.
+    /// Takes the next good frame. The first becomes the rest frame; the others must show the same gel state.
     pub fn step(&mut self, frame: &Frame, settings: &SenseConfig) -> RestStep {
         if self.known {
             return RestStep::Known;

@@ -1,4 +1,4 @@
-//! From a configuration to what sensing works with.
+//! Builds the parts of the sensing loop from a configuration.
 
 use super::outputs::{Lines, Outputs};
 use crate::config::{Config, SourceConfig};
@@ -12,18 +12,18 @@ use gelstereo_core::frames::WidthError;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-/// Why sensing could not begin, or broke off.
+/// Why sensing could not start or broke off.
 #[derive(Debug)]
 pub enum SenseError {
-    /// Something that the robot task needs too.
+    /// An error shared with the robot task.
     Host(HostError),
-    /// A publisher.
+    /// A publisher could not be opened.
     Publish(PublishError),
-    /// The mount has no such grasp.
+    /// The mount cannot reach the grasp width.
     Width(WidthError),
-    /// The source broke.
+    /// The source failed.
     Source(SourceError),
-    /// The system has no more threads.
+    /// No thread could be started.
     Thread(std::io::Error),
 }
 
@@ -47,29 +47,29 @@ impl<E: Into<HostError>> From<E> for SenseError {
     }
 }
 
-/// Who listens.
+/// Requested outputs.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Listeners {
-    /// Where to record.
+    /// Path of the recording.
     pub recording: Option<PathBuf>,
     /// Publishers.
     pub protocols: Vec<Protocol>,
-    /// Whether standard output gets a line for each frame.
+    /// Whether standard output receives one line per frame.
     pub lines: bool,
-    /// Whether these lines have the points of all markers.
+    /// Whether these lines include the points of all markers.
     pub points: bool,
 }
 
-/// A source as sensing uses it.
+/// A source with its name.
 pub struct NamedSource {
     /// Stereo pairs.
     pub source: Box<dyn FrameSource>,
-    /// What it is called.
+    /// Name for reports.
     pub name: String,
 }
 
-/// The source among a configuration's devices. The simulated sensor has a gripper that grasps the part over
-/// and over.
+/// Selects the source among a configuration's devices. The simulated sensor's gripper grasps the part
+/// repeatedly.
 #[must_use]
 pub fn named_source(config: &Config, devices: Devices) -> NamedSource {
     match &config.source {
@@ -89,8 +89,8 @@ pub fn named_source(config: &Config, devices: Devices) -> NamedSource {
     }
 }
 
-/// The path itself, or, where there is a file already, the first of `name-2.mcap`, `name-3.mcap` and so on
-/// that is free: a host that is started again keeps what it recorded before.
+/// The path itself, or, if that file exists, the first free of `name-2.mcap`, `name-3.mcap` and so on. A
+/// restarted host thus keeps its earlier recordings.
 #[must_use]
 pub fn recording_path(path: &Path) -> PathBuf {
     if !path.is_file() {

@@ -1,4 +1,4 @@
-//! What supervises a sensing host: systemd's notifications, and a health file.
+//! Supervision of a sensing host: systemd notifications and a health file.
 
 use super::report::Status;
 use serde::{Deserialize, Serialize};
@@ -6,55 +6,55 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-/// What the health file says.
+/// Contents of the health file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Health {
-    /// Whether results come and go where they shall.
+    /// Whether results are produced and delivered.
     pub healthy: bool,
-    /// Why not.
+    /// Description of the trouble, if any.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub trouble: Option<String>,
-    /// When this was written, seconds since 1970.
+    /// Time of writing, seconds since 1970.
     pub updated_unix_s: f64,
     /// Process that wrote it.
     pub pid: u32,
     /// Stereo pairs since the start.
     pub frames: u64,
-    /// Pairs that the source lost or passed over since the start.
+    /// Pairs that the source lost or skipped since the start.
     pub dropped: u64,
-    /// Pairs a second, at last.
+    /// Pairs per second in the last interval.
     pub rate_hz: f64,
 }
 
-/// Why a health file does not say that all is well.
+/// Why a health check failed.
 #[derive(Debug)]
 pub enum HealthError {
-    /// It cannot be read.
+    /// The file cannot be read.
     Read {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
-        /// The system's answer.
+        /// The system's error.
         error: std::io::Error,
     },
-    /// It is no health file.
+    /// The file cannot be parsed.
     Parse {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
-        /// What is wrong.
+        /// The parse error.
         error: serde_json::Error,
     },
-    /// Nobody has written it for too long.
+    /// The file is too old.
     Old {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
-        /// How long ago it was written.
+        /// Seconds since it was written.
         age_s: f64,
-        /// Longest valid.
+        /// Largest valid age.
         max_age_s: f64,
     },
-    /// It says itself that something is wrong.
+    /// The file reports trouble.
     Trouble {
-        /// What.
+        /// Description of the trouble.
         trouble: String,
     },
 }
@@ -86,10 +86,10 @@ fn unix_s() -> f64 {
     SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs_f64()
 }
 
-/// Reads a health file and judges it.
+/// Reads and evaluates a health file.
 ///
 /// # Errors
-/// [`HealthError`] when all is not well.
+/// [`HealthError`] when the file is missing, invalid or too old, or reports trouble.
 pub fn check(path: &Path, max_age_s: f64) -> Result<Health, HealthError> {
     let text =
         std::fs::read_to_string(path).map_err(|error| HealthError::Read { path: path.to_owned(), error })?;
@@ -105,39 +105,39 @@ pub fn check(path: &Path, max_age_s: f64) -> Result<Health, HealthError> {
     }
 }
 
-/// Tells systemd and the health file how it goes.
+/// Reports the state to systemd and the health file.
 #[derive(Debug, Default)]
 pub struct Supervisor {
     health_file: Option<PathBuf>,
 }
 
 impl Supervisor {
-    /// Writes this health file, if any. Where systemd did not start the host, notifications go nowhere.
+    /// Uses this health file, if any. Notifications have no effect unless systemd started the host.
     #[must_use]
     pub const fn new(health_file: Option<PathBuf>) -> Self {
         Self { health_file }
     }
 
-    /// The source is open and results are on their way.
+    /// The source is open and results are being produced.
     pub fn ready(&self) {
         notify::ready();
     }
 
-    /// The loop goes round.
+    /// Signals that the loop is running.
     pub fn alive(&self) {
         notify::alive();
     }
 
-    /// How often systemd wants to hear; `None` if it does not.
+    /// Watchdog interval of systemd; `None` if there is no watchdog.
     #[must_use]
     pub fn alive_within(&self) -> Option<Duration> {
         notify::watchdog()
     }
 
-    /// Once a second.
+    /// Reports the status; called once per second.
     ///
     /// # Errors
-    /// The system's answer when the health file cannot be written.
+    /// The system's error when the health file cannot be written.
     pub fn status(&self, status: &Status) -> std::io::Result<()> {
         notify::status(&status.to_string());
         let Some(path) = &self.health_file else { return Ok(()) };
@@ -150,7 +150,7 @@ impl Supervisor {
             dropped: status.totals.dropped,
             rate_hz: status.rate_hz,
         };
-        // Whoever reads sees the old one or the new one, never half of one.
+        // Written by renaming, so that readers never see a partial file.
         let beside = path.with_extension("tmp");
         let mut file = std::fs::File::create(&beside)?;
         file.write_all(serde_json::to_string(&health)?.as_bytes())?;
@@ -158,17 +158,17 @@ impl Supervisor {
         std::fs::rename(&beside, path)
     }
 
-    /// The end: the health file goes, so that nobody takes it for that of a running host.
+    /// Signals the end and removes the health file, so that it does not pass for that of a running host.
     pub fn stopping(&self) {
         notify::stopping();
         if let Some(path) = &self.health_file {
-            // It may never have been written.
+            // The file may not exist.
             let _ = std::fs::remove_file(path);
         }
     }
 }
 
-/// systemd's protocol. What it does not hear it acts on itself, so that errors need no other answer.
+/// systemd's protocol. Errors are ignored: systemd reacts to missing notifications itself.
 #[cfg(target_os = "linux")]
 mod notify {
     use sd_notify::NotifyState;
@@ -195,7 +195,7 @@ mod notify {
     }
 }
 
-/// There is no systemd.
+/// Without systemd.
 #[cfg(not(target_os = "linux"))]
 mod notify {
     pub const fn ready() {}

@@ -13,8 +13,8 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// A stereo camera that keeps itself streaming: what is unplugged, reset or silent is opened again, and told
-/// as an event. Dropping it closes the devices.
+/// A stereo camera that keeps itself streaming: a device that is unplugged, reset or silent is reopened
+/// and reported as an event. Dropping it closes the devices.
 #[derive(Debug)]
 pub struct CameraSource {
     config: CameraConfig,
@@ -22,15 +22,16 @@ pub struct CameraSource {
     right: Option<CameraHandle>,
     mailbox: Arc<Mailbox>,
     pairing: Pairing<RawFrame>,
-    /// Frames that wait to be decoded: at most one in the mode `latest`.
+    /// Frames waiting to be decoded: at most one in the mode `latest`.
     ready: VecDeque<RawPair>,
     events: VecDeque<SourceEvent>,
-    /// Pairs lost since the last one that was handed over, besides those that the next one counts itself.
+    /// Pairs lost since the last one delivered, excluding those counted by the next pair itself.
     lost: u64,
-    /// From the drivers' clock to the epoch, measured once: a wall clock that is set leaves intervals as they are.
+    /// Offset from the drivers' clock to the epoch, measured once, so that setting the wall clock does
+    /// not change intervals.
     epoch_offset_ns: u64,
     decoder: FrameDecoder,
-    /// The next pair's images, while those of the last one stay as they are.
+    /// Images of the next pair, while those of the last one stay unchanged.
     views: [Gray; 2],
     statistics: Statistics,
 }
@@ -45,8 +46,8 @@ struct RawPair {
 }
 
 impl CameraSource {
-    /// Opens the devices, sets format, rate and controls, and starts the streams. Returns within 20 seconds
-    /// for each device, whatever the drivers do.
+    /// Opens the devices, sets format, rate and controls, and starts the streams. Returns within 20
+    /// seconds for each device, even if a driver hangs.
     ///
     /// # Errors
     /// [`CaptureError`].
@@ -75,19 +76,19 @@ impl CameraSource {
         })
     }
 
-    /// What it was opened with.
+    /// Configuration at opening.
     #[must_use]
     pub const fn config(&self) -> &CameraConfig {
         &self.config
     }
 
-    /// The devices as they were at the start: the stereo device, or the left and the right one.
+    /// Devices as found at opening: the stereo device, or the left and the right one.
     #[must_use]
     pub fn devices(&self) -> Vec<&CameraInfo> {
         self.handles().map(|handle| &handle.info).collect()
     }
 
-    /// Rate, latency and losses since it was opened.
+    /// Rate, latency and losses since opening.
     #[must_use]
     pub fn statistics(&self) -> CameraStatistics {
         let mut summary = self.statistics.summary();
@@ -114,8 +115,8 @@ impl CameraSource {
         handle.controls()
     }
 
-    /// Sets controls of all its devices, now and whenever they are opened again. Waits for the driver, up to
-    /// 12 seconds for each device.
+    /// Sets controls of all devices, now and whenever they are reopened. Waits for the driver, up to 12
+    /// seconds for each device.
     ///
     /// # Errors
     /// [`CaptureError`]. Of two devices, the left one may then be set already.
@@ -127,7 +128,7 @@ impl CameraSource {
         std::iter::once(&self.left).chain(&self.right)
     }
 
-    /// Takes what the devices' threads have said, up to an event, and in the mode `every` up to a pair.
+    /// Processes messages of the device threads up to an event, or in the mode `every` up to a pair.
     fn receive(&mut self) -> Result<(), SourceError> {
         let latest = self.config.mode == FrameMode::Latest;
         while self.events.is_empty() && (latest || self.ready.is_empty()) {
@@ -167,7 +168,7 @@ impl CameraSource {
         }
     }
 
-    /// A pair to be decoded, unless a newer one comes before.
+    /// Queues a pair for decoding; in the mode `latest` it replaces an older one.
     fn offer(&mut self, pair: RawPair) {
         if self.config.mode == FrameMode::Latest
             && let Some(passed_over) = self.ready.pop_front()
@@ -199,7 +200,7 @@ impl CameraSource {
             SourceEvent::Skewed { .. } => counts.skewed += 1,
         }
         if matches!(event, SourceEvent::Disconnected { .. } | SourceEvent::Stalled { .. }) {
-            // The other device's images will have no partner, and no pair from before is the newest one now.
+            // Waiting images will get no partner from the lost device, and pairs from before are outdated.
             for lost in self.pairing.clear() {
                 self.mailbox.give_back(lost.image.bytes);
             }
@@ -227,7 +228,7 @@ impl CameraSource {
         }
     }
 
-    /// Decodes a pair and hands it over, or tells why it cannot be used.
+    /// Decodes and delivers a pair, or reports why it is unusable.
     fn hand_over(&mut self, raw: RawPair, pair: &mut StereoPair) -> Next {
         let sequence = raw.left.sequence;
         if let Err(reason) = self.decode(&raw) {
@@ -283,7 +284,7 @@ impl CameraSource {
 
 impl FrameSource for CameraSource {
     fn next_pair(&mut self, timeout: Duration, pair: &mut StereoPair) -> Result<Next, SourceError> {
-        // A timeout that no clock reaches has no end.
+        // A timeout beyond the range of the clock means no deadline.
         let deadline = Instant::now().checked_add(timeout);
         pair.stale = true;
         loop {

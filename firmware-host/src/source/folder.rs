@@ -7,13 +7,13 @@ use std::time::Duration;
 
 const NANOSECONDS_PER_SECOND: f64 = 1e9;
 
-/// PNG, PGM and JPEG files whose names hold `left` or `right`, paired by the rest of the name, in natural order: numbers
-/// count as numbers, so that `left_3` comes before `left_29`.
+/// PNG, PGM and JPEG files with `left` or `right` in their names, paired by the rest of the name in
+/// natural order: numbers compare as numbers, so that `left_3` precedes `left_29`.
 ///
-/// Either all in one folder (`left_0001.png`, `right_0001.png`) or in its subfolders `left` and `right`. Colour is
-/// turned into grey. Images that differ in leading zeros (`left_3.png`, `right_03.png`) are a pair where no other image
-/// has that number. Numbers that are left out count as dropped pairs ([`Capture::dropped`]). The time of pair i, left-out
-/// ones counted, is i / frame rate.
+/// The images are either in one folder (`left_0001.png`, `right_0001.png`) or in its subfolders `left`
+/// and `right`. Colour is converted to grey. Images that differ in leading zeros (`left_3.png`,
+/// `right_03.png`) form a pair if no other image has that number. Missing numbers count as dropped pairs
+/// ([`Capture::dropped`]). The time of pair i, counting missing ones, is i / frame rate.
 #[derive(Clone, Debug)]
 pub struct FolderSource {
     pairs: Vec<FolderPair>,
@@ -22,25 +22,25 @@ pub struct FolderSource {
     size: Option<(usize, usize)>,
 }
 
-/// Two files of one moment.
+/// Two files of one pair.
 #[derive(Clone, Debug)]
 struct FolderPair {
     left: PathBuf,
     right: PathBuf,
-    /// Pairs before this one, those left out included.
+    /// Number of pairs before this one, including missing ones.
     sequence: u64,
-    /// Pairs left out since the one before.
+    /// Number of missing pairs since the previous one.
     dropped: u64,
 }
 
-/// Images of one view by the rest of their names.
+/// Images of one view, keyed by the rest of their names.
 type View = BTreeMap<String, PathBuf>;
 
 impl FolderSource {
-    /// Lists and pairs the images; none is read yet.
+    /// Lists and pairs the images without reading them.
     ///
     /// # Errors
-    /// [`SourceError`] when the folder cannot be listed or an image has no partner.
+    /// [`SourceError`] if the folder cannot be listed or an image has no partner.
     pub fn open(folder: &Path, frame_rate_hz: f64) -> Result<Self, SourceError> {
         let mut views: [View; 2] = Default::default();
         let mut images = 0;
@@ -65,13 +65,13 @@ impl FolderSource {
         Ok(Self { pairs, next: 0, period_ns: NANOSECONDS_PER_SECOND / frame_rate_hz, size: None })
     }
 
-    /// Pairs that are missing in the numbering of the files.
+    /// Number of pairs missing from the numbering of the files.
     #[must_use]
     pub fn dropped(&self) -> u64 {
         self.pairs.iter().map(|pair| pair.dropped).sum()
     }
 
-    /// Width and height of the first image, pixels; all must have them.
+    /// Width and height of the first image, pixels; all images must match.
     ///
     /// # Errors
     /// [`SourceError::Decode`].
@@ -116,7 +116,8 @@ impl FrameSource for FolderSource {
     }
 }
 
-/// Left and right path by the rest of the left name: equal names first, then what is left by equal numbers.
+/// Left and right path, keyed by the rest of the left name: equal names first, the remaining ones by
+/// equal numbers.
 fn match_views([lefts, mut rights]: [View; 2]) -> Result<Vec<(String, PathBuf, PathBuf)>, SourceError> {
     let by_number = |view: &View| {
         let mut names: BTreeMap<String, Vec<PathBuf>> = BTreeMap::new();
@@ -155,7 +156,7 @@ fn match_views([lefts, mut rights]: [View; 2]) -> Result<Vec<(String, PathBuf, P
     }
 }
 
-/// In natural order, with the gaps of their numbering.
+/// Sorts pairs in natural order and adds the gaps of their numbering.
 fn numbered(mut matched: Vec<(String, PathBuf, PathBuf)>) -> Vec<FolderPair> {
     matched.sort_by(|(a, ..), (b, ..)| natural::compare(a, b));
     let names: Vec<&str> = matched.iter().map(|(name, ..)| name.as_str()).collect();

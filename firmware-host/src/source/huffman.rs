@@ -1,6 +1,6 @@
-//! The Huffman tables that a JPEG image has where it states none.
+//! Huffman tables for JPEG images without their own.
 
-/// A segment DHT with the four typical tables of ITU-T T.81, tables K.3 to K.6. Cameras leave them out of
+/// A DHT segment with the four typical tables of ITU-T T.81, tables K.3 to K.6. Cameras omit them from
 /// Motion JPEG.
 #[rustfmt::skip]
 pub(super) const SEGMENT: [u8; 420] = [

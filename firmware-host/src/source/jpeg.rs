@@ -1,40 +1,40 @@
-//! JPEG images of cameras, decoded to grey by one pinned decoder.
+//! Decodes JPEG images of cameras to grey with one pinned decoder.
 
 use super::{Gray, huffman};
 use zune_jpeg::zune_core::bytestream::ZCursor;
 use zune_jpeg::zune_core::colorspace::ColorSpace;
 use zune_jpeg::zune_core::options::DecoderOptions;
 
-/// The decoder and its version. Another decoder may give other pixels, so that recordings name theirs.
+/// Decoder and version. Another decoder may give other pixels, so recordings store this name.
 pub const DECODER: &str = "zune-jpeg 0.5.15";
 
-/// Longest side of an image: no camera of this kind sends more, and a damaged header may claim anything.
+/// Largest side of an image. It exceeds cameras of this kind and bounds a corrupt header.
 const MAX_SIDE_PX: usize = 8192;
 
 const START: [u8; 2] = [0xff, 0xd8];
 const END: [u8; 2] = [0xff, 0xd9];
-/// Markers: a baseline frame, a table of Huffman codes, the start of the coded data.
+/// Markers: baseline frame, Huffman table, start of the coded data.
 const BASELINE: u8 = 0xc0;
 const HUFFMAN_TABLE: u8 = 0xc4;
 const START_OF_SCAN: u8 = 0xda;
 
-/// From this width on a row of blocks takes more than the 8 bytes that the decoder reads ahead: 32 blocks of
-/// at least 2 bits.
+/// From this width on, a row of blocks exceeds the decoder's 8-byte read-ahead: 32 blocks of at least 2
+/// bits.
 const MIN_LONG_ROW_PX: u16 = 256;
 
-/// Why bytes are no usable JPEG image.
+/// Reason why bytes are not a usable JPEG image.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum JpegError {
-    /// They do not start with a JPEG start marker.
+    /// The JPEG start marker is missing.
     NoStart,
-    /// They have no end marker: the image was cut off.
+    /// The end marker is missing: the image is truncated.
     NoEnd {
-        /// Bytes found.
+        /// Length of the data.
         bytes: usize,
     },
-    /// The coded data is damaged, or of a kind that no camera sends.
+    /// The coded data is corrupt, or of a kind that cameras do not send.
     Corrupt {
-        /// The decoder's answer.
+        /// Error of the decoder.
         reason: String,
     },
 }
@@ -53,7 +53,7 @@ impl std::fmt::Display for JpegError {
 
 impl std::error::Error for JpegError {}
 
-/// The image from its start to its end marker, without the padding that some cameras add.
+/// The image from its start to its end marker, without the padding that some cameras append.
 ///
 /// # Errors
 /// [`JpegError::NoStart`] and [`JpegError::NoEnd`].
@@ -65,26 +65,26 @@ pub fn trimmed(bytes: &[u8]) -> Result<&[u8], JpegError> {
     end.map(|end| &bytes[..end + END.len()]).ok_or(JpegError::NoEnd { bytes: bytes.len() })
 }
 
-/// Decodes Motion JPEG. Its buffers are used again from image to image.
+/// Decodes Motion JPEG. Buffers are reused from image to image.
 #[derive(Clone, Debug, Default)]
 pub struct JpegDecoder {
-    /// An image that states no Huffman tables, with them.
+    /// Image completed with Huffman tables.
     completed: Vec<u8>,
 }
 
 impl JpegDecoder {
     /// Decodes the luma of one image, grey or YCbCr, to `gray`.
     ///
-    /// Vector code of the processor is not used, so that every machine gives the same pixels.
+    /// SIMD code is disabled, so that every machine gives the same pixels.
     ///
     /// # Errors
-    /// [`JpegError`]; `gray` then holds no image.
+    /// [`JpegError`]; `gray` is then empty.
     pub fn decode(&mut self, bytes: &[u8], gray: &mut Gray) -> Result<(), JpegError> {
         (gray.width, gray.height) = (0, 0);
         let mut jpeg = trimmed(bytes)?;
         let header = Header::find(jpeg);
         if header.long_rows {
-            // With an end marker the decoder fills a last row that was cut off; without it, it reports the
+            // With an end marker the decoder fills in a truncated last row; without it, it reports the
             // loss.
             jpeg = &jpeg[..jpeg.len() - END.len()];
         }
@@ -118,10 +118,10 @@ impl JpegDecoder {
     }
 }
 
-/// What the segments before the coded data say.
+/// Information from the segments before the coded data.
 #[derive(Default)]
 struct Header {
-    /// Where the coded data starts, if no segment before it states Huffman tables.
+    /// Start of the coded data, if no earlier segment defines Huffman tables.
     scan_without_tables: Option<usize>,
     /// Whether the image is baseline and at least [`MIN_LONG_ROW_PX`] wide.
     long_rows: bool,

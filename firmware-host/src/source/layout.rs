@@ -1,9 +1,9 @@
-//! Both views in the frames of one stereo device.
+//! Splits the frames of one stereo device into two views.
 
 use super::{Gray, StereoLayout};
 use gelstereo_core::image::GrayView;
 
-/// A frame that cannot hold two views side by side or byte by byte.
+/// A frame width that cannot be split into two views.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct OddWidth {
     /// Width of the frame, pixels.
@@ -19,7 +19,7 @@ impl std::fmt::Display for OddWidth {
 impl std::error::Error for OddWidth {}
 
 impl StereoLayout {
-    /// Copies both views out of `frame`, each half as wide. The views' buffers are used again.
+    /// Copies both views out of `frame`, each half as wide. The views' buffers are reused.
     ///
     /// # Errors
     /// [`OddWidth`].
@@ -60,7 +60,7 @@ mod tests {
 
     #[test]
     fn every_layout_finds_its_views() {
-        // Two rows with a byte of padding each.
+        // Two rows with one byte of padding each.
         let bytes = [1, 2, 3, 4, 99, 5, 6, 7, 8, 99];
         let frame = GrayView::new(&bytes, 4, 2, 5).unwrap();
         let halves = ([1, 2, 5, 6], [3, 4, 7, 8]);

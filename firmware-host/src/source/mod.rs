@@ -1,4 +1,4 @@
-//! Where stereo pairs come from.
+//! Sources of stereo pairs.
 
 mod camera;
 mod clock;
@@ -33,77 +33,78 @@ use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 use std::time::Duration;
 
-/// A grey image without padding, whose buffer is used again from frame to frame.
+/// A grey image without padding. Its buffer is reused from frame to frame.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Gray {
     /// Pixels per row.
     pub width: usize,
     /// Rows.
     pub height: usize,
-    /// Row after row, `width * height` bytes.
+    /// Pixels row by row, `width * height` bytes.
     pub pixels: Vec<u8>,
 }
 
 impl Gray {
-    /// What the pipeline reads.
+    /// View for the pipeline.
     ///
     /// # Errors
-    /// [`ImageError`] when the shape is empty or does not fit the pixels.
+    /// [`ImageError`] if the shape is empty or does not match the pixels.
     pub fn view(&self) -> Result<GrayView<'_>, ImageError> {
         GrayView::new(&self.pixels, self.width, self.height, self.width)
     }
 }
 
-/// Two images of one moment.
+/// Two simultaneous images.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct StereoPair {
-    /// Moment of exposure, nanoseconds: from the epoch for a camera, from its start for a simulated sensor or a folder.
+    /// Time of exposure, nanoseconds: since the epoch for a camera, since the start for a simulated
+    /// sensor or a folder.
     pub time_ns: u64,
     /// Left image.
     pub left: Gray,
     /// Right image.
     pub right: Gray,
-    /// How it was captured.
+    /// Capture data.
     pub capture: Capture,
-    /// The camera's compressed images, where it sends such and the source was asked to keep them.
+    /// Compressed images of the camera, if it sends them and the source is set to keep them.
     pub encoded: Encoded,
-    /// Whether the images are those of an earlier call, because no newer ones came.
+    /// Whether the images are from an earlier call because no newer ones came.
     pub stale: bool,
 }
 
-/// How a pair was captured. Clocks are `CLOCK_MONOTONIC` of this computer.
+/// Capture data of a pair. Times are `CLOCK_MONOTONIC` of this computer.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Capture {
     /// The driver's sequence number, or the pair's number in a folder or stream.
     pub sequence: u64,
-    /// When the driver had the later of both images. Absent where the source has no driver.
+    /// Time at which the driver had the later of both images. `None` if the source has no driver.
     pub driver_ns: Option<u64>,
-    /// When both images were decoded. Absent where the source has no driver.
+    /// Time at which both images were decoded. `None` if the source has no driver.
     pub received_ns: Option<u64>,
-    /// Pairs that were lost or passed over since the pair before.
+    /// Pairs lost or skipped since the previous one.
     pub dropped: u64,
-    /// Right image's time minus the left one's; 0 for one stereo device.
+    /// Time of the right image minus that of the left one; 0 for one stereo device.
     pub skew_ns: i64,
 }
 
-/// Compressed images as the camera sent them.
+/// Compressed images from the camera.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum Encoded {
-    /// The camera sends plain pixels, or the source does not keep them.
+    /// The camera sends uncompressed pixels, or the source does not keep compressed images.
     #[default]
     None,
     /// One JPEG image that holds both views.
     Joint {
-        /// Where the views stand in it.
+        /// Arrangement of the views.
         layout: StereoLayout,
-        /// The file, from its start to its end marker.
+        /// The JPEG file from its start to its end marker.
         jpeg: Vec<u8>,
     },
     /// Two JPEG images.
     Separate {
-        /// The left one.
+        /// Left image.
         left_jpeg: Vec<u8>,
-        /// The right one.
+        /// Right image.
         right_jpeg: Vec<u8>,
     },
 }
@@ -123,70 +124,69 @@ pub enum StereoLayout {
     InterleavedSwapped,
 }
 
-/// What came of waiting for a pair.
+/// Result of waiting for a pair.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Next {
     /// A pair.
     Pair,
-    /// No new pair, but something to know. The pair handed over is left as it was and marked stale; the next call may
-    /// give a pair.
+    /// No new pair, but an event. The pair passed in is unchanged and marked stale; the next call may
+    /// return a pair.
     Event(SourceEvent),
-    /// There will be no more.
+    /// No more pairs.
     End,
 }
 
-/// What happened to a source that goes on.
+/// Event of a source that continues.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", tag = "event")]
 pub enum SourceEvent {
-    /// A device was opened, at the start or again.
+    /// A device was opened or reopened.
     Connected {
-        /// Its name, path and serial number.
+        /// Name, path and serial number.
         device: String,
     },
-    /// A device went away: it was unplugged or its bus was reset.
+    /// A device was disconnected: it was unplugged or its bus was reset.
     Disconnected {
-        /// Its name, path and serial number.
+        /// Name, path and serial number.
         device: String,
-        /// The system's answer.
+        /// Error of the system.
         reason: String,
-        /// When it is tried again.
+        /// Time until the next attempt.
         retry_in_ms: u64,
     },
-    /// A device is there but sends nothing.
+    /// A device is present but sends nothing.
     Stalled {
-        /// Its name, path and serial number.
+        /// Name, path and serial number.
         device: String,
-        /// For how long.
+        /// Duration of the silence.
         silent_ms: u64,
     },
-    /// A frame cannot be used.
+    /// A frame is unusable.
     Corrupt {
         /// The driver's sequence number.
         sequence: u64,
-        /// What is wrong with it.
+        /// Reason.
         reason: String,
     },
     /// Sequence numbers go back, or jump farther than frames can have been lost.
     Sequence {
-        /// Number that was expected.
+        /// Expected number.
         expected: u64,
-        /// Number that came.
+        /// Received number.
         found: u64,
     },
-    /// A driver's timestamp goes back or is of another clock than `CLOCK_MONOTONIC`. The moment of reading takes its
-    /// place.
+    /// A driver's timestamp goes back or is not of `CLOCK_MONOTONIC`. The time of reading replaces it.
     Timestamp {
         /// The driver's sequence number.
         sequence: u64,
-        /// What is wrong with it.
+        /// Reason.
         reason: String,
     },
-    /// Two devices' images are too far apart in time to be a pair.
+    /// Images of two devices are too far apart in time for a pair.
     Skewed {
-        /// Right image's time minus the left one's.
+        /// Time of the right image minus that of the left one.
         skew_ns: i64,
-        /// Largest valid, in either direction.
+        /// Largest valid difference in either direction.
         max_skew_ns: u64,
     },
 }
@@ -217,63 +217,63 @@ impl std::fmt::Display for SourceEvent {
     }
 }
 
-/// Why there is no pair.
+/// Reason why there is no pair.
 #[derive(Debug)]
 pub enum SourceError {
-    /// Nothing came in time.
+    /// No pair came in time.
     Timeout {
-        /// How long it was waited for.
+        /// Time waited.
         waited: Duration,
     },
     /// A folder or file cannot be read.
     Io {
-        /// Which.
+        /// Path of the folder or file.
         path: PathBuf,
-        /// The system's answer.
+        /// Error of the system.
         error: std::io::Error,
     },
-    /// A folder holds no image whose name says left or right.
+    /// A folder has no image with left or right in its name.
     NoPairs {
         /// The folder.
         folder: PathBuf,
-        /// Images found in it.
+        /// Number of images found in it.
         images: usize,
     },
     /// An image has no partner.
     NoPartner {
         /// The image.
         path: PathBuf,
-        /// The other view.
+        /// Name of the missing view.
         missing: &'static str,
     },
     /// Two images of one view have the same number.
     Ambiguous {
-        /// The one.
+        /// First image.
         first: PathBuf,
-        /// The other.
+        /// Second image.
         second: PathBuf,
     },
-    /// A file is no image.
+    /// A file is not a valid image.
     Decode {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
-        /// Why.
+        /// Reason.
         message: String,
     },
-    /// An image differs in size from the first one.
+    /// The size of an image differs from the first one.
     SizeChange {
-        /// Which.
+        /// Path of the image.
         path: PathBuf,
         /// Width and height found, pixels.
         found: (usize, usize),
         /// Width and height of the first image, pixels.
         expected: (usize, usize),
     },
-    /// A camera cannot be opened or set.
+    /// A camera cannot be opened or configured.
     Camera(CaptureError),
     /// A device was unplugged or reports a fault.
     Device {
-        /// What it said.
+        /// Message of the device.
         message: String,
     },
 }
@@ -330,17 +330,17 @@ impl From<CaptureError> for SourceError {
     }
 }
 
-/// A stereo camera, or what stands in for one.
+/// A stereo camera or a substitute.
 pub trait FrameSource {
-    /// Waits for the next pair and writes it to `pair`, whose buffers it uses again. Returns within `timeout`, with
-    /// an allowance for the decoding of one pair.
+    /// Waits for the next pair and writes it to `pair`, reusing its buffers. Returns within `timeout`
+    /// plus the decoding time of one pair.
     ///
     /// # Errors
-    /// [`SourceError::Timeout`] when nothing comes in time, after which the next call may succeed; any other
-    /// [`SourceError`] when the source is broken.
+    /// [`SourceError::Timeout`] if nothing comes in time; the next call may succeed. Any other
+    /// [`SourceError`] means that the source has failed.
     fn next_pair(&mut self, timeout: Duration, pair: &mut StereoPair) -> Result<Next, SourceError>;
 
-    /// How many pairs there are in all, where that is known.
+    /// Total number of pairs, if known.
     fn len_hint(&self) -> Option<usize> {
         None
     }

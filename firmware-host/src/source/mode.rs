@@ -1,4 +1,4 @@
-//! Which frames of a live source are handed over.
+//! Frame selection of a live source.
 
 use serde::{Deserialize, Serialize};
 

@@ -1,8 +1,8 @@
-//! Natural order of file names: numbers in them compare as numbers, so that `left_3` comes before `left_29`.
+//! Natural order of file names: numbers in them compare as numbers, so that `left_3` precedes `left_29`.
 
 use std::cmp::Ordering;
 
-/// A piece of a name.
+/// Part of a name.
 enum Piece<'a> {
     /// Digits.
     Number(&'a str),
@@ -10,7 +10,7 @@ enum Piece<'a> {
     Text(&'a str),
 }
 
-/// The name as an alternation of texts and numbers.
+/// Splits a name into alternating texts and numbers.
 fn pieces(name: &str) -> impl Iterator<Item = Piece<'_>> {
     let mut rest = name;
     std::iter::from_fn(move || {
@@ -31,13 +31,14 @@ fn significant(digits: &str) -> &str {
     digits.trim_start_matches('0')
 }
 
-/// Numbers of any length.
+/// Compares numbers of any length.
 fn compare_numbers(a: &str, b: &str) -> Ordering {
     let (a, b) = (significant(a), significant(b));
     a.len().cmp(&b.len()).then_with(|| a.cmp(b))
 }
 
-/// Compares names in natural order. Names that differ in leading zeros alone compare as text, so that the order is total.
+/// Compares names in natural order. Names that differ only in leading zeros compare as text, so that the
+/// order is total.
 pub(crate) fn compare(a: &str, b: &str) -> Ordering {
     let (mut left, mut right) = (pieces(a), pieces(b));
     loop {
@@ -54,7 +55,7 @@ pub(crate) fn compare(a: &str, b: &str) -> Ordering {
     }
 }
 
-/// The name with its numbers written without leading zeros: equal for `left_3` and `left_03`.
+/// Name with its numbers stripped of leading zeros: equal for `left_3` and `left_03`.
 pub(super) fn without_leading_zeros(name: &str) -> String {
     let mut out = String::with_capacity(name.len());
     for piece in pieces(name) {
@@ -67,10 +68,11 @@ pub(super) fn without_leading_zeros(name: &str) -> String {
     out
 }
 
-/// How many are missing between each name and the one before it, by the one number in which all of them differ.
+/// Number of missing names before each name, from the one number in which all of them differ.
 ///
-/// The step is the smallest difference, so that every fifth frame of a recording has no gaps. All zero where the names
-/// differ in more than one number or its differences are no multiples of the step, as those of time stamps.
+/// The step is the smallest difference, so that every fifth frame of a recording has no gaps. All gaps
+/// are zero if the names differ in more than one number, or if the differences are not multiples of the
+/// step, as with timestamps.
 pub(super) fn gaps(names: &[&str]) -> Vec<u64> {
     let steps = steps(names).unwrap_or_default();
     let step = steps.iter().copied().min().unwrap_or(0);
@@ -80,7 +82,7 @@ pub(super) fn gaps(names: &[&str]) -> Vec<u64> {
     std::iter::once(0).chain(steps.iter().map(|s| s / step - 1)).collect()
 }
 
-/// Differences of the one number in which neighbouring names differ; `None` where there is no such number.
+/// Differences of the one number in which neighbouring names differ; `None` if there is no such number.
 fn steps(names: &[&str]) -> Option<Vec<u64>> {
     let split = |name: &'_ str| -> Vec<(bool, String)> {
         pieces(name)
@@ -120,7 +122,7 @@ mod tests {
         names
     }
 
-    /// As text, left_29 would come before left_3.
+    /// In text order, left_29 would precede left_3.
     #[test]
     fn a_3_comes_before_a_29() {
         assert_eq!(sorted(&["left_29", "left_3", "left_10"]), ["left_3", "left_10", "left_29"]);
@@ -146,13 +148,13 @@ mod tests {
     }
 
     proptest! {
-        /// The order of generated names is that of the tuples that they are made of.
+        /// Generated names sort like the tuples that they are made of.
         #[test]
         fn the_order_is_that_of_the_numbers(
             mut tuples in proptest::collection::vec(("[a-c_-]{1,2}", 0u64..2000, "[a-c]{1,2}", any::<u64>()), 2..40),
             zeros in 0usize..4,
         ) {
-            // Zero padding of all numbers alike changes nothing.
+            // Padding all numbers alike with zeros changes nothing.
             let name = |t: &(String, u64, String, u64)| {
                 format!("{}{:0width$}{}{}", t.0, t.1, t.2, t.3, width = zeros)
             };
@@ -162,7 +164,7 @@ mod tests {
             prop_assert_eq!(names, tuples.iter().map(name).collect::<Vec<_>>());
         }
 
-        /// Sorting needs a total order: antisymmetric, transitive, equal for equal names alone.
+        /// Sorting needs a total order: antisymmetric, transitive, equal only for equal names.
         #[test]
         fn the_order_is_total(a in "[a0-2._]{0,8}", b in "[a0-2._]{0,8}", c in "[a0-2._]{0,8}") {
             prop_assert_eq!(compare(&a, &b), compare(&b, &a).reverse());
@@ -172,7 +174,7 @@ mod tests {
             }
         }
 
-        /// Names made of numbers with some left out: as many are missing as were left out.
+        /// The gaps of a number sequence equal the omitted numbers.
         #[test]
         fn gaps_are_those_left_out(
             first in 0u64..1000,
@@ -180,7 +182,7 @@ mod tests {
             missing in proptest::collection::vec(0u64..4, 1..30),
             zeros in 0usize..6,
         ) {
-            // The smallest difference is taken for the step: one pair without a gap tells it.
+            // The step is the smallest difference, so one pair without a gap is needed.
             let missing: Vec<u64> = std::iter::once(0).chain(missing).collect();
             let (mut number, mut names) = (first, vec![format!("cam2_{first:0zeros$}.x")]);
             for gap in &missing {

@@ -1,50 +1,50 @@
-//! Two devices' images into pairs, by their timestamps alone: no clock, no thread, no device.
+//! Pairs the images of two devices by timestamps alone, without clocks, threads or devices.
 
 use crate::camera::Side;
 use std::collections::VecDeque;
 
-/// An image, or what stands for one, with its moment.
+/// An image, or a stand-in for one, with its time.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Stamped<T> {
-    /// Its moment on a clock that both devices share, nanoseconds.
+    /// Time on a clock shared by both devices, nanoseconds.
     pub time_ns: u64,
-    /// Images of the same device that were lost since the one before.
+    /// Images of the same device lost since the previous one.
     pub dropped: u64,
     /// The image.
     pub image: T,
 }
 
-/// What came of comparing the oldest image of each device.
+/// Result of comparing the oldest image of each device.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Match<T> {
-    /// They are a pair.
+    /// The images form a pair.
     Pair {
         /// The left image.
         left: Stamped<T>,
         /// The right image.
         right: Stamped<T>,
-        /// The right image's time minus the left one's.
+        /// Time of the right image minus that of the left one.
         skew_ns: i64,
-        /// Pairs that were lost since the pair before: images of one device that were lost, refused or pushed
-        /// out, of the device that has more of them.
+        /// Pairs lost since the previous pair: lost, refused or displaced images of the device that has
+        /// more of them.
         dropped: u64,
     },
-    /// They are too far apart: the older one has no partner and is refused.
+    /// The images are too far apart: the older one has no partner and is refused.
     Refused {
-        /// Whose image it is.
+        /// Device of the refused image.
         side: Side,
-        /// The image.
+        /// Refused image.
         image: Stamped<T>,
-        /// The right image's time minus the left one's.
+        /// Time of the right image minus that of the left one.
         skew_ns: i64,
     },
 }
 
 /// Pairs the images of two devices.
 ///
-/// Each device's images come in their order. The oldest of each are compared: at most `max_skew_ns` apart
-/// they are a pair. Farther apart the older one is refused, since what follows on the other side is later
-/// still. With a skew of at most half a frame's period an image has one possible partner.
+/// Images of each device arrive in order. The oldest of each are compared: at most `max_skew_ns` apart
+/// they are a pair. Otherwise the older one is refused, since later images of the other device are even
+/// later. With a skew of at most half a frame period an image has one possible partner.
 #[derive(Clone, Debug)]
 pub struct Pairing<T> {
     max_skew_ns: u64,
@@ -56,7 +56,7 @@ pub struct Pairing<T> {
 #[derive(Clone, Debug)]
 struct Lane<T> {
     waiting: VecDeque<Stamped<T>>,
-    /// Images lost since the last pair, before the oldest waiting one.
+    /// Images lost since the last pair and before the oldest waiting one.
     lost: u64,
 }
 
@@ -75,7 +75,8 @@ impl<T> Lane<T> {
 }
 
 impl<T> Pairing<T> {
-    /// For images at most `max_skew_ns` apart, of which `max_waiting` of each device may wait for a partner.
+    /// Pairs images at most `max_skew_ns` apart; `max_waiting` images of each device may wait for a
+    /// partner.
     #[must_use]
     pub fn new(max_skew_ns: u64, max_waiting: usize) -> Self {
         Self { max_skew_ns, max_waiting: max_waiting.max(1), left: Lane::default(), right: Lane::default() }
@@ -88,8 +89,8 @@ impl<T> Pairing<T> {
         }
     }
 
-    /// Takes an image. Where too many wait the oldest is lost, counted and returned: the other device is
-    /// silent.
+    /// Adds an image. If too many wait because the other device is silent, the oldest is counted as lost
+    /// and returned.
     pub fn push(&mut self, side: Side, image: Stamped<T>) -> Option<Stamped<T>> {
         let max_waiting = self.max_waiting;
         let lane = self.lane(side);
@@ -97,7 +98,7 @@ impl<T> Pairing<T> {
         if lane.waiting.len() > max_waiting { lane.lose() } else { None }
     }
 
-    /// Compares the oldest image of each device; `None` when one has none.
+    /// Compares the oldest image of each device; `None` if either has none.
     pub fn compare(&mut self) -> Option<Match<T>> {
         let (left, right) = (self.left.waiting.front()?, self.right.waiting.front()?);
         let skew_ns = right.time_ns.wrapping_sub(left.time_ns) as i64;
@@ -112,7 +113,7 @@ impl<T> Pairing<T> {
         Some(Match::Pair { left, right, skew_ns, dropped })
     }
 
-    /// Loses and counts every image that waits, and returns them: one of the devices starts again.
+    /// Counts all waiting images as lost and returns them, for a device that restarts.
     pub fn clear(&mut self) -> Vec<Stamped<T>> {
         let mut lost = Vec::new();
         for side in [Side::Left, Side::Right] {
@@ -132,12 +133,12 @@ mod tests {
     const PERIOD_NS: i64 = 33_000_000;
     const MAX_SKEW_NS: u64 = 5_000_000;
 
-    /// What one device sends: for each period its jitter, or nothing where the frame was lost.
+    /// Output of one device: the jitter of each period, or `None` for a lost frame.
     fn device() -> impl Strategy<Value = Vec<Option<i64>>> {
         prop::collection::vec(prop::option::weighted(0.8, -2_000_000..2_000_000i64), 1..60)
     }
 
-    /// Images with their period's number, and drops as the driver would count them.
+    /// Images with the number of their period, and drops as the driver would count them.
     fn images(frames: &[Option<i64>], phase_ns: i64) -> Vec<Stamped<usize>> {
         let mut dropped = 0;
         let mut images = Vec::new();
@@ -153,7 +154,7 @@ mod tests {
         images
     }
 
-    /// Feeds both devices' images in an arbitrary interleaving, and compares as often as possible.
+    /// Feeds both devices' images in an arbitrary interleaving and compares as often as possible.
     fn run(
         left: &[Stamped<usize>],
         right: &[Stamped<usize>],
@@ -194,8 +195,7 @@ mod tests {
                     Match::Pair { left, right, skew_ns, dropped } => {
                         prop_assert_eq!(*skew_ns, right.time_ns as i64 - left.time_ns as i64);
                         prop_assert!(skew_ns.unsigned_abs() <= MAX_SKEW_NS);
-                        // The numbers of a device's images are those of its periods: what is between two
-                        // pairs is lost.
+                        // An image carries the number of its period: numbers between two pairs are lost.
                         let between = [(0, left.image), (1, right.image)].map(|(side, number)| {
                             let before = last[side].replace(number);
                             let lost = number as u64 - before.map_or(0, |before| before as u64 + 1);
@@ -214,7 +214,7 @@ mod tests {
             prop_assert_eq!((left.len() + right.len()) as u64, 2 * pairs + refused + others);
         }
 
-        /// Two devices in step that lose nothing are paired completely, whoever delivers first.
+        /// Two devices in phase without loss are paired completely, whichever delivers first.
         #[test]
         fn devices_in_step_are_paired_completely(
             jitters in prop::collection::vec((-2_000_000..2_000_000i64, -2_000_000..2_000_000i64), 1..60)

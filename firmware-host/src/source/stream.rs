@@ -1,7 +1,7 @@
 //! Stereo pairs from a pipe: standard input, a FIFO or a file.
 //!
-//! A thread reads and takes the stream apart, so that a producer that stalls or dies never holds the reader
-//! up. What the thread has found waits in a short queue.
+//! A thread reads and decodes the stream, so that a producer that stalls or dies never blocks the
+//! reader. Its results wait in a short queue.
 
 use super::clock::monotonic_ns;
 use super::jpeg::JpegDecoder;
@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-/// Stands for standard input where a path is expected.
+/// Path that stands for standard input.
 pub const STANDARD_INPUT: &str = "-";
 
 /// A stream of frames through a pipe.
@@ -61,36 +61,36 @@ impl Default for StreamConfig {
 }
 
 impl StreamConfig {
-    /// Whether the stream comes through standard input.
+    /// Whether the stream comes from standard input.
     #[must_use]
     pub fn is_standard_input(&self) -> bool {
         self.path == Path::new(STANDARD_INPUT)
     }
 
-    /// What events call the stream.
+    /// Name of the stream in events.
     #[must_use]
     pub fn name(&self) -> String {
         if self.is_standard_input() { "standard input".to_owned() } else { self.path.display().to_string() }
     }
 }
 
-/// Stereo pairs of a stream.
+/// Stereo pairs from a stream.
 #[derive(Debug)]
 pub struct StreamSource {
     config: StreamConfig,
     queue: Arc<Queue>,
     jpeg: JpegDecoder,
-    /// A JPEG image with both views.
+    /// Decoded JPEG image with both views.
     joint: Gray,
-    /// The next pair's images, until they are known to be good.
+    /// Images of the next pair, until they are known to be valid.
     views: [Gray; 2],
     /// Frames lost since the last pair.
     lost: u64,
-    /// From the clock of captures to that of a pair's time: to the epoch for a live stream, as a camera has
-    /// it. Times of a stream that can wait stay as they are, so that it repeats.
+    /// Offset from the capture clock to the clock of a pair's time: the epoch for a live stream, as for
+    /// a camera. It is 0 for a stream that can wait, so that its times are reproducible.
     offset_ns: u64,
     heard: Instant,
-    /// When silence is reported next.
+    /// Duration of silence until the next report.
     patience: Duration,
     ended: bool,
 }
@@ -102,20 +102,20 @@ impl Drop for StreamSource {
 }
 
 impl StreamSource {
-    /// Opens the file or FIFO on a thread of its own, so that it returns at once.
+    /// Opens the file or FIFO on its own thread, so that this call returns at once.
     ///
     /// # Errors
-    /// [`SourceError::Io`] when there is no such file.
+    /// [`SourceError::Io`] if the file does not exist.
     pub fn open(config: &StreamConfig) -> Result<Self, SourceError> {
         let queue = Arc::new(Queue::default());
         Reader::spawn(config, Arc::clone(&queue))?;
         Ok(Self::new(config, queue))
     }
 
-    /// Reads from `input`, which ends the source when it ends.
+    /// Reads from `input`; its end is the end of the source.
     ///
     /// # Errors
-    /// [`SourceError::Device`] when the system has no more threads.
+    /// [`SourceError::Device`] if the system cannot create a thread.
     pub fn from_reader(
         config: &StreamConfig,
         input: Box<dyn std::io::Read + Send>,
@@ -174,7 +174,7 @@ impl StreamSource {
         pair.capture = Capture {
             sequence,
             driver_ns: captured_ns,
-            // A stream with made-up times repeats to the bit, whenever it is read.
+            // A stream with times computed from the rate is bit-identical whenever it is read.
             received_ns: by_rate.is_none().then_some(received_ns),
             dropped: std::mem::take(&mut self.lost),
             skew_ns: 0,
@@ -197,7 +197,7 @@ impl StreamSource {
         Next::Pair
     }
 
-    /// Both views of a frame, into the spare images.
+    /// Decodes both views of a frame into the spare images.
     fn decode(&mut self, frame: &Frame) -> Result<(), String> {
         let header = &frame.header;
         let size = (header.width_px as usize, header.height_px as usize);
@@ -219,7 +219,7 @@ impl StreamSource {
         header.layout.split(joint, left, right).map_err(|error| error.to_string())
     }
 
-    /// Silence that is long enough to be told, each time after twice as long.
+    /// Reports long silence; each further report waits for twice the duration.
     fn stalled(&mut self) -> Option<SourceEvent> {
         let silent = self.heard.elapsed();
         (silent >= self.patience).then(|| {
@@ -230,8 +230,7 @@ impl StreamSource {
     }
 }
 
-/// The wall clock minus the clock of captures, measured once: a wall clock that is set leaves intervals as
-/// they are.
+/// Wall clock minus capture clock, measured once, so that setting the wall clock does not change intervals.
 fn epoch_offset_ns() -> u64 {
     let epoch = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     u64::try_from(epoch.as_nanos()).unwrap_or(u64::MAX).saturating_sub(monotonic_ns())

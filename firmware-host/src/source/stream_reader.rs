@@ -1,4 +1,4 @@
-//! The thread behind a stream, and the queue through which it hands frames over.
+//! Reader thread of a stream, and its queue of frames.
 
 use super::clock::monotonic_ns;
 use super::stream::StreamConfig;
@@ -11,30 +11,30 @@ use std::path::PathBuf;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-/// Arrivals that may wait, frames and events; the thread waits when there are more.
+/// Largest number of waiting frames and events; beyond it the thread waits.
 const MAX_WAITING: usize = 64;
-/// Frames that may wait with the mode `every`: at 30 Hz an eighth of a second.
+/// Largest number of waiting frames in the mode `every`: an eighth of a second at 30 Hz.
 const MAX_FRAMES: usize = 4;
-/// Bytes read at once: what a Linux pipe holds by default.
+/// Bytes per read: the default capacity of a Linux pipe.
 const CHUNK_BYTES: usize = 1 << 16;
-/// Sequence numbers that jump farther than this are an event, not a count of lost frames: a minute at 60 Hz.
+/// Largest jump of a sequence number counted as lost frames: a minute at 60 Hz. A larger one is an event.
 const MAX_GAP: u64 = 3600;
-/// Pause before a FIFO is opened again, so that a producer that fails at once is not started a thousand times
-/// a second.
+/// Pause before a FIFO is reopened, so that a producer that fails at once is not restarted a thousand
+/// times per second.
 const REOPEN_AFTER: Duration = Duration::from_millis(100);
 
-/// A frame as it arrived.
+/// A received frame.
 #[derive(Clone, Debug)]
 pub(super) struct Frame {
     pub header: FrameHeader,
     pub payload: Vec<u8>,
-    /// When it was complete, [`monotonic_ns`].
+    /// Time of complete arrival, [`monotonic_ns`].
     pub arrived_ns: u64,
-    /// Frames lost since the last one that was handed over.
+    /// Frames lost since the last one delivered.
     pub dropped: u64,
 }
 
-/// What the thread found.
+/// Frame or event from the thread.
 #[derive(Clone, Debug)]
 pub(super) enum Arrival {
     Frame(Frame),
@@ -50,7 +50,7 @@ struct Content {
     closed: bool,
 }
 
-/// Between the thread and the source.
+/// Queue between the thread and the source.
 #[derive(Debug, Default)]
 pub(super) struct Queue {
     content: Mutex<Content>,
@@ -59,7 +59,7 @@ pub(super) struct Queue {
 
 impl Queue {
     fn lock(&self) -> MutexGuard<'_, Content> {
-        // A thread that panicked in here left whole arrivals behind.
+        // A panic while the lock was held leaves only complete arrivals.
         self.content.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -74,7 +74,7 @@ impl Queue {
         arrival
     }
 
-    /// Gives a payload's buffer back.
+    /// Returns the buffer of a payload for reuse.
     pub fn give_back(&self, buffer: Vec<u8>) {
         let mut content = self.lock();
         if content.spares.len() < MAX_FRAMES && buffer.capacity() > 0 {
@@ -82,13 +82,13 @@ impl Queue {
         }
     }
 
-    /// The source is gone: the thread ends as soon as it comes back from reading.
+    /// The source was dropped: the thread ends after its current read.
     pub fn close(&self) {
         self.lock().closed = true;
         self.changed.notify_all();
     }
 
-    /// Hands an arrival over; `false` when nobody takes it any more.
+    /// Adds an arrival; `false` if the source was dropped.
     fn put(&self, mut arrival: Arrival, mode: FrameMode) -> bool {
         let mut content = self.lock();
         if let (FrameMode::Latest, Arrival::Frame(newest)) = (mode, &mut arrival) {
@@ -115,32 +115,32 @@ impl Queue {
     }
 }
 
-/// Where the bytes come from.
+/// Input of the thread.
 enum Input {
-    /// Opened already; the stream ends with it.
+    /// Already open; its end ends the stream.
     Once(Box<dyn Read + Send>),
-    /// Opened on the thread, since a FIFO is not open before it has a producer; and again after each
+    /// Opened on the thread, because opening a FIFO blocks until it has a producer; reopened after each
     /// producer.
     Fifo(PathBuf),
 }
 
-/// The thread's own.
+/// State of the thread.
 pub(super) struct Reader {
     name: String,
     mode: FrameMode,
     queue: Arc<Queue>,
     framing: Framing,
-    /// Number that the next frame should have; unknown before a producer's first one.
+    /// Expected number of the next frame; unknown before a producer's first one.
     expected: Option<u64>,
 }
 
-/// How frames are told apart.
+/// Method to find frame boundaries.
 enum Framing {
     Headers(Box<FrameDecoder>),
     Fixed(FixedFrames),
 }
 
-/// Frames without headers, one after the other.
+/// Consecutive frames without headers.
 struct FixedFrames {
     header: FrameHeader,
     payload: Vec<u8>,
@@ -180,7 +180,7 @@ impl Framing {
         }
     }
 
-    /// The next frame in these bytes, its payload swapped for `buffer`.
+    /// The next frame in these bytes; its payload is swapped for `buffer`.
     fn next_frame(
         &mut self,
         bytes: &mut &[u8],
@@ -206,7 +206,7 @@ impl Framing {
         Some(Ok((header, payload)))
     }
 
-    /// What the end of the input cut off.
+    /// Reports a frame truncated by the end of the input.
     fn finish(&mut self) -> Result<(), FrameStreamError> {
         match self {
             Self::Headers(decoder) => decoder.finish(),
@@ -220,10 +220,10 @@ impl Framing {
 }
 
 impl Reader {
-    /// Reads what the configuration names.
+    /// Starts a thread that reads the configured input.
     ///
     /// # Errors
-    /// [`SourceError::Io`] when a file cannot be opened.
+    /// [`SourceError::Io`] if a file cannot be opened.
     pub fn spawn(config: &StreamConfig, queue: Arc<Queue>) -> Result<(), SourceError> {
         let io = |error| SourceError::Io { path: config.path.clone(), error };
         let input = if config.is_standard_input() {
@@ -236,10 +236,10 @@ impl Reader {
         Self::start(config, queue, input)
     }
 
-    /// Reads from `input`.
+    /// Starts a thread that reads from `input`.
     ///
     /// # Errors
-    /// [`SourceError::Device`] when the system has no more threads.
+    /// [`SourceError::Device`] if the system cannot create a thread.
     pub fn spawn_on(
         config: &StreamConfig,
         queue: Arc<Queue>,
@@ -274,7 +274,7 @@ impl Reader {
         }
     }
 
-    /// One producer of a FIFO, from its start to its end; `None` when nobody listens any more.
+    /// Reads one producer of a FIFO from start to end; `None` if the source was dropped.
     fn read_fifo(&mut self, path: &std::path::Path) -> Option<()> {
         let reason = match File::open(path) {
             Ok(file) => {
@@ -290,7 +290,7 @@ impl Reader {
         Some(())
     }
 
-    /// Reads to the end; `None` when nobody listens any more.
+    /// Reads to the end; `None` if the source was dropped.
     fn read(&mut self, mut input: Box<dyn Read + Send>) -> Option<()> {
         let mut chunk = vec![0; CHUNK_BYTES];
         self.expected = None;

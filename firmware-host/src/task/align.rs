@@ -1,4 +1,4 @@
-//! Bring the part above the hole.
+//! Moves the part to its pose above the hole.
 
 use super::cell::Cell;
 use super::error::Halt;
@@ -8,7 +8,7 @@ use crate::report::Stage;
 use gelstereo_core::frames::adjusted_gripper;
 use gelstereo_core::math::{DVec3, Pose};
 
-/// Lifts the part and brings it above the hole; returns the gripper's pose there.
+/// Lifts the part and moves it above the hole; returns the gripper's pose there.
 pub(super) fn align(cell: &mut Cell, held: &Held) -> Result<Pose, Halt> {
     cell.log.begin(Stage::Align);
     let task = &cell.config.task;
@@ -19,7 +19,7 @@ pub(super) fn align(cell: &mut Cell, held: &Held) -> Result<Pose, Halt> {
     let above = cell.goal * Pose::from_translation_mm(-cell.config.insertion_axis() * back_mm);
     let t_base_gripper = adjusted_gripper(&above, &held.t_gripper_object);
     cell.go(&t_base_gripper, task.move_speed_mm_s)?;
-    // The paper's adjustment: between what is in the hand and what was expected there.
+    // The paper's adjustment: the difference between the localized and the expected part pose in the hand.
     let expected = adjusted_gripper(&above, &cell.config.expected_t_gripper_object());
     let (turn, shift_mm) = (expected.inverse() * t_base_gripper).log();
     cell.log.end(vec![figure("turn_rad", turn.length()), figure("shift_mm", shift_mm.length())]);

@@ -1,32 +1,32 @@
-//! What is known of the part's pose: every pose that explains what was felt, with its odds.
+//! Belief about the part's pose: all poses consistent with the contacts, with their odds.
 //!
-//! The poses are the means of a mixture of normal distributions. Of two looks each pair of poses is fused,
-//! and counts by the odds of both and by how well they agree.
+//! The poses are the means of a Gaussian mixture. Two looks are fused pair by pair; a pair's odds are the
+//! product of both odds and of the agreement between its poses.
 
 use gelstereo_core::math::{Pose, exp};
 use gelstereo_core::register::{
     Alternatives, FusedPose, FusionError, PlaneContact, PoseEstimate, Registration, fuse_plane, fuse_poses,
 };
 
-/// As many poses are kept as a registration has: its own and its alternatives.
+/// Number of poses kept: the likeliest and as many alternatives as a registration has.
 const MAX_POSES: usize = 1 + Alternatives::MOST;
 
-/// Poses with their odds.
+/// Gaussian mixture of poses.
 #[derive(Clone, Debug)]
 pub(super) struct Belief {
     likeliest: PoseEstimate,
     others: Vec<Other>,
 }
 
-/// A pose that is less likely.
+/// An alternative, less likely pose.
 #[derive(Clone, Copy, Debug)]
 struct Other {
     estimate: PoseEstimate,
-    /// Natural logarithm of its odds over the likeliest pose.
+    /// Natural logarithm of its odds relative to the likeliest pose.
     log_odds: f64,
 }
 
-/// A pose and the probability of it.
+/// A pose and its probability.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Share {
     pub(super) estimate: PoseEstimate,
@@ -34,15 +34,16 @@ pub(super) struct Share {
     pub(super) probability: f64,
 }
 
-/// What two looks say together.
+/// Belief after fusing two sources.
 pub(super) struct FusedBelief {
     pub(super) belief: Belief,
-    /// How far the looks contradict each other at the likeliest pose; see [`FusedPose`].
+    /// Squared Mahalanobis distance between the sources at the likeliest pose; see [`FusedPose`].
     pub(super) squared_distance: f64,
 }
 
 impl Belief {
-    /// In the sensor frame. An alternative is known as well as the pose itself, in the part's frame.
+    /// Belief of a registration, sensor frame. Alternatives get the information of the pose itself, in
+    /// the part's frame.
     pub(super) fn of(found: &Registration) -> Self {
         let likeliest = PoseEstimate { pose: found.t_sensor_object, information: found.information };
         let best = found.log_likelihood.unwrap_or(0.0);
@@ -53,23 +54,23 @@ impl Belief {
         Self { likeliest, others: others.collect() }
     }
 
-    /// One pose without alternatives.
+    /// A single pose without alternatives.
     pub(super) const fn alone(estimate: PoseEstimate) -> Self {
         Self { likeliest: estimate, others: Vec::new() }
     }
 
-    /// Two poses, the second with these odds.
+    /// Two poses, the second with these log odds.
     #[cfg(test)]
     pub(super) fn of_two(likeliest: PoseEstimate, second: PoseEstimate, log_odds: f64) -> Self {
         Self { likeliest, others: vec![Other { estimate: second, log_odds }] }
     }
 
-    /// The pose to act on.
+    /// The likeliest pose, used for motions.
     pub(super) const fn likeliest(&self) -> &PoseEstimate {
         &self.likeliest
     }
 
-    /// All poses; the first is the likeliest.
+    /// All poses, the likeliest first.
     pub(super) fn shares(&self) -> Vec<Share> {
         let sum = 1.0 + self.others.iter().map(|other| exp(other.log_odds)).sum::<f64>();
         let first = Share { estimate: self.likeliest, probability: 1.0 / sum };
@@ -80,22 +81,21 @@ impl Belief {
         core::iter::once(first).chain(others).collect()
     }
 
-    /// The same in another outer frame c, given `t_c_a`.
+    /// The same belief in another outer frame c, given `t_c_a`.
     pub(super) fn in_frame(&self, t_c_a: &Pose) -> Self {
         self.map(|estimate| estimate.in_frame(t_c_a))
     }
 
-    /// Each pose changed in the same way.
+    /// Applies the same change to each pose.
     pub(super) fn map(&self, change: impl Fn(&PoseEstimate) -> PoseEstimate) -> Self {
         let others = self.others.iter().map(|other| Other { estimate: change(&other.estimate), ..*other });
         Self { likeliest: change(&self.likeliest), others: others.collect() }
     }
 
-    /// Joined with another look at the part, in the same frame. Pairs of poses that cannot be of one part
-    /// are left out.
+    /// Fuses another look at the part, in the same frame. Inconsistent pairs of poses are dropped.
     ///
     /// # Errors
-    /// [`FusionError`] of the likeliest poses, if no pair can be of one part.
+    /// [`FusionError`] of the likeliest poses, if all pairs are inconsistent.
     pub(super) fn fused(&self, look: &Self) -> Result<FusedBelief, FusionError> {
         let mut pairs: Vec<Pair> = Vec::new();
         for before in self.with_odds() {
@@ -111,8 +111,8 @@ impl Belief {
         }
     }
 
-    /// Joined with a plane that the part touches, of which each pose says by which point. Poses that cannot
-    /// touch it are left out.
+    /// Fuses a plane that the part touches; `contact` gives the touching point of each pose. Poses that
+    /// cannot touch the plane are dropped.
     ///
     /// # Errors
     /// [`FusionError`] of the likeliest pose, if no pose can touch the plane.
@@ -137,7 +137,7 @@ impl Belief {
 }
 
 impl FusedBelief {
-    /// Of the poses that two sources agree on; none of no pose.
+    /// Collects the fused pairs, likeliest first; `None` without pairs.
     fn of(mut pairs: Vec<Pair>) -> Option<Self> {
         pairs.sort_by(|a, b| b.log_odds.total_cmp(&a.log_odds));
         let best = pairs.first()?;
@@ -155,9 +155,9 @@ impl FusedBelief {
     }
 }
 
-/// Joins an estimate with what is known of the part without sensing. Two contacts that leave the slide along
-/// an axis free, and see this axis 1e-4 rad apart, would otherwise settle their difference across it by a
-/// slide of centimetres.
+/// Fuses an estimate with the prior for the part, which needs no sensing. Without it, two contacts that
+/// leave the slide along an axis free and disagree on that axis by 1e-4 rad would resolve their lateral
+/// difference by a slide of centimetres.
 pub(super) fn expected_anyway(estimate: &PoseEstimate, sigma_rad: f64, sigma_mm: f64) -> PoseEstimate {
     let mut joined = estimate.in_frame(&estimate.pose.inverse());
     for (i, row) in joined.information.iter_mut().enumerate() {
@@ -167,7 +167,7 @@ pub(super) fn expected_anyway(estimate: &PoseEstimate, sigma_rad: f64, sigma_mm:
     joined.in_frame(&estimate.pose)
 }
 
-/// A pose that two sources agree on.
+/// A fused pair of poses from two sources.
 #[derive(Clone, Copy)]
 struct Pair {
     fused: FusedPose,
@@ -180,7 +180,7 @@ mod tests {
     use super::*;
     use gelstereo_core::math::DVec3;
 
-    /// Known to so much along every axis, and to 0.01 rad.
+    /// Standard deviation `sigma_mm` along every axis, and 0.01 rad.
     fn at(x_mm: f64, sigma_mm: f64) -> PoseEstimate {
         let information = core::array::from_fn(|i| {
             core::array::from_fn(|j| match (i == j, i < 3) {
@@ -204,17 +204,17 @@ mod tests {
         assert_eq!(Belief::alone(at(0.0, 0.1)).shares()[0].probability, 1.0);
     }
 
-    /// By the product of two mixtures of normal distributions along a line.
+    /// Reference: the product of two Gaussian mixtures on a line.
     #[test]
     fn a_second_look_tells_poses_apart_that_the_first_cannot() {
         let (first, second) = (two([0.0, 1.5], 0.5, 0.1), two([1.55, 3.05], 0.9, 0.1));
         let fused = first.fused(&second).unwrap();
-        // Only 1.5 and 1.55 mm agree: within 0.05 mm, known to 0.14 mm.
+        // Only 1.5 and 1.55 mm agree: 0.05 mm apart, with a combined standard deviation of 0.14 mm.
         let likeliest = fused.belief.likeliest();
         assert!((likeliest.pose.translation_mm.x - 1.525).abs() < 1e-9);
         assert!((fused.squared_distance - 0.125).abs() < 1e-9);
         assert!(fused.belief.shares()[0].probability > 0.999);
-        // Looks that leave both poses open leave the product of their odds.
+        // If both looks leave both poses possible, their odds multiply.
         let again = first.fused(&two([0.0, 1.5], 0.5, 0.1)).unwrap().belief.shares();
         assert!((again[1].probability / again[0].probability - 0.25).abs() < 1e-9);
     }

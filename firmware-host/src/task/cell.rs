@@ -1,4 +1,4 @@
-//! The robot cell as the stages see it: take a stereo pair, sense it, stop what must be stopped, record.
+//! Robot cell interface of the stages: takes and processes stereo pairs, stops devices, and records.
 
 use super::TaskError;
 use super::devices::{Devices, Stops};
@@ -22,7 +22,7 @@ pub(super) struct Cell<'a> {
     pub(super) devices: Devices,
     pub(super) sensing: Sensing,
     pub(super) log: Log<'a>,
-    /// The part in its goal (`t_base_object`).
+    /// Part pose at the goal (`t_base_object`).
     pub(super) goal: Pose,
     pub(super) triggers: Triggers,
     stop: &'a AtomicBool,
@@ -32,26 +32,26 @@ pub(super) struct Cell<'a> {
     times: FrameTimes,
 }
 
-/// Without images gripper and robot are asked for their status this often: their silence, and their watchdogs, do not wait
-/// for the camera.
+/// Interval between status requests to gripper and robot while no image arrives. Detecting a silent
+/// device, and feeding its watchdog, must not depend on the camera.
 const DEVICE_CHECK: Duration = Duration::from_millis(100);
-/// A request to stop is noticed within this time, which is shorter than a frame of any sensor of this kind.
+/// Longest delay in noticing a stop request; shorter than the frame period of any sensor of this kind.
 const SLICE: Duration = Duration::from_millis(10);
 
-/// What a frame shows of a guarded move.
+/// Result of a frame during a guarded move.
 pub(super) struct Felt {
     /// Mean marker motion.
     pub(super) motion_px: f64,
-    /// Whether it reached the trigger, and the device was stopped.
+    /// Whether the motion reached the trigger and the device was stopped.
     pub(super) triggered: bool,
 }
 
-/// Mean marker motion that stops a device.
+/// Mean marker motion at which a device is stopped.
 #[derive(Clone, Copy)]
 pub(super) struct Trigger {
     pub(super) motion_px: f64,
     pub(super) stops: Stops,
-    /// Its name in the recording.
+    /// Name in the recording.
     pub(super) cause: &'static str,
 }
 
@@ -79,8 +79,8 @@ impl<'a> Cell<'a> {
         }
     }
 
-    /// Makes the gripper ready, and returns when its fingers stand. Frames meanwhile show neither rest nor contact: they
-    /// are let go.
+    /// Activates the gripper and waits until its fingers stand still. Frames meanwhile show neither rest
+    /// nor contact and are skipped.
     pub(super) fn activate_gripper(&mut self) -> Result<(), Halt> {
         let task = &self.config.task;
         self.watch.moves(task, Guard::Free, task.opening_speed_mm_s);
@@ -91,14 +91,14 @@ impl<'a> Cell<'a> {
         Ok(())
     }
 
-    /// Starts to move the fingers with the task's closing force.
+    /// Starts a finger motion with the task's closing force.
     pub(super) fn move_gripper(&mut self, width_mm: f64, speed_mm_s: f64, guard: Guard) -> Result<(), Halt> {
         let task = &self.config.task;
         self.watch.moves(task, guard, speed_mm_s);
         Ok(self.devices.gripper.move_to(width_mm, speed_mm_s, task.closing_force)?)
     }
 
-    /// Starts to move the robot.
+    /// Starts a robot motion.
     pub(super) fn move_robot(
         &mut self,
         t_base_gripper: &Pose,
@@ -109,9 +109,9 @@ impl<'a> Cell<'a> {
         Ok(self.devices.robot.move_to(t_base_gripper, speed_mm_s)?)
     }
 
-    /// Whether fingers or robot move.
+    /// Whether the fingers or the robot are moving.
     pub(super) fn moves(&mut self) -> Result<bool, Halt> {
-        // Both are asked each time: the watchdog of a moving robot wants to hear something.
+        // Polls both every time, to feed the watchdog of a moving robot.
         let (gripper, robot) = (self.devices.gripper.status()?, self.devices.robot.status()?);
         let moving = gripper.moving || robot.moving;
         if !moving {
@@ -120,14 +120,14 @@ impl<'a> Cell<'a> {
         Ok(moving)
     }
 
-    /// Lets the next stereo pair go without sensing it.
+    /// Skips the next stereo pair without processing it.
     pub(super) fn skip_pair(&mut self) -> Result<(), Halt> {
         self.take_pair()?;
         self.log.let_go(&self.pair);
         Ok(())
     }
 
-    /// Goes on to the next stereo pair without sensing it.
+    /// Fetches the next stereo pair without processing it.
     fn take_pair(&mut self) -> Result<(), Halt> {
         let stage = self.log.stage();
         self.wait_for_pair()?;
@@ -140,7 +140,7 @@ impl<'a> Cell<'a> {
         Ok(())
     }
 
-    /// Waits in short slices, so that a request to stop and a silent device are noticed at once.
+    /// Waits in short slices, so that stop requests and silent devices are noticed promptly.
     fn wait_for_pair(&mut self) -> Result<(), Halt> {
         let (stage, patience, asked) = (self.log.stage(), self.watch.patience(), Instant::now());
         let mut next_check = DEVICE_CHECK;
@@ -170,17 +170,17 @@ impl<'a> Cell<'a> {
         }
     }
 
-    /// Goes on to the next frame that can be sensed; returns its mean marker motion in pixels.
+    /// Advances to the next frame that can be processed; returns its mean marker motion in pixels.
     pub(super) fn frame(&mut self) -> Result<f64, Halt> {
         self.sense(None).map(|felt| felt.motion_px)
     }
 
-    /// As [`Self::frame`], during a move that a trigger ends.
+    /// As [`Self::frame`], during a move that is ended by a trigger.
     pub(super) fn guarded_frame(&mut self, trigger: &Trigger) -> Result<Felt, Halt> {
         self.sense(Some(trigger))
     }
 
-    /// The device is stopped before anything is recorded or asked of gripper and robot.
+    /// Stops the device before recording anything or requesting the status of gripper and robot.
     fn sense(&mut self, trigger: Option<&Trigger>) -> Result<Felt, Halt> {
         let mut bad_frames = 0;
         loop {
@@ -203,8 +203,8 @@ impl<'a> Cell<'a> {
             if !(gripper.moving || robot.moving) {
                 self.watch.rests();
             }
-            // What was recorded of the frame stays as it is, so that a replay gives the same.
-            // Lost markers matter only while a trigger is waited for: fingers that open shake the gel.
+            // The frame's recorded result stays unchanged, so that a replay is identical. Lost markers
+            // matter only while waiting for a trigger: opening fingers shake the gel.
             let waits = trigger.is_some() && reached.is_none();
             let result = if waits { result.and_then(|()| self.sensing.check_seen()) } else { result };
             let Err(error) = result else {
@@ -218,7 +218,7 @@ impl<'a> Cell<'a> {
         }
     }
 
-    /// Moves the robot on a free way, sensing meanwhile.
+    /// Moves the robot along a free path, processing frames meanwhile.
     pub(super) fn go(&mut self, t_base_gripper: &Pose, speed_mm_s: f64) -> Result<(), Halt> {
         self.move_robot(t_base_gripper, speed_mm_s, Guard::Free)?;
         while self.devices.robot.status()?.moving {
@@ -227,7 +227,7 @@ impl<'a> Cell<'a> {
         Ok(())
     }
 
-    /// Asks something of the pipeline, and records it.
+    /// Runs a pipeline action and records it.
     pub(super) fn act(&mut self, action: &Action) -> Result<Option<Registration>, Halt> {
         let result = self.sensing.act(action);
         self.log.acted(action, &result, &self.sensing);

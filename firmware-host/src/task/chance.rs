@@ -1,7 +1,7 @@
-//! How probable it is that the part goes into its hole, from what is known of its pose.
+//! Probability that the part fits into its hole, from its pose belief.
 //!
-//! The inserted end stays within the walls if no point of its flank moves along its own normal by more than
-//! half of the clearance. A small motion (ω, v) of the part moves a point p with normal n by n·(ω x p + v).
+//! The inserted end stays within the walls if no flank point moves along its own normal by more than half
+//! of the clearance. A small motion (ω, v) of the part moves a point p with normal n by n·(ω x p + v).
 
 use super::belief::Belief;
 use crate::report::Forecast;
@@ -10,28 +10,29 @@ use gelstereo_core::math::random::Stream;
 use gelstereo_core::math::{DVec3, Pose, sqrt};
 use gelstereo_core::register::{Symmetry, Template};
 
-/// Poses drawn for one answer: a chance of 0.99 is then known to 0.0022.
+/// Poses drawn per probability; the standard error at 0.99 is 0.0022.
 const DRAWS: usize = 2048;
-/// A point whose normal leans towards the axis by more than this sine is no flank: the tip's face, or a
-/// chamfer.
+/// Sine of the largest lean of a flank point's normal towards the axis. Larger leans belong to the tip's
+/// face or to a chamfer.
 const MAX_LEAN: f64 = 0.5;
-/// Displacements are linear along the axis, so that the points near the tip and near the rim are the ones to
-/// check.
+/// Largest number of points. Displacements are linear along the axis, so points near the tip and near the
+/// rim suffice.
 const MAX_POINTS: usize = 600;
-/// A part that a turn about the direction of insertion moves by less is round: twice a mesh's facets.
+/// Largest displacement, by a turn about the insertion axis, of a part that counts as round: twice the
+/// facet error of a mesh.
 const ROUND_MM: f64 = 0.01;
 
-/// The part's inserted end and its clearance, in the part's frame.
+/// Inserted end of the part and its clearance, part frame.
 pub(super) struct Flank {
     points: Vec<FlankPoint>,
     /// Unit direction of insertion.
     axis: DVec3,
-    /// Two unit directions across it.
+    /// Two unit directions orthogonal to it.
     across: [DVec3; 2],
     tip_mm: DVec3,
     middle_mm: DVec3,
     half_clearance_mm: f64,
-    /// Whether the part is round about the axis. Its facets would count a spin otherwise.
+    /// Whether the part is round about the axis; its facets must not make spin count.
     is_round: bool,
     symmetries: Vec<Symmetry>,
 }
@@ -61,7 +62,8 @@ impl Motion {
 }
 
 impl Flank {
-    /// The last `depth_mm` of a part along the unit direction `axis`; its hole is wider by `clearance_mm`.
+    /// Flank of the last `depth_mm` of a part along the unit direction `axis`; its hole is wider by
+    /// `clearance_mm`.
     pub(super) fn of(template: &Template, axis: DVec3, depth_mm: f64, clearance_mm: f64) -> Self {
         let across_x = axis.any_orthonormal_vector();
         let every = || template.points_mm().iter().zip(template.normals());
@@ -92,13 +94,13 @@ impl Flank {
         }
     }
 
-    /// Middle of the tip, part frame.
+    /// Centre of the tip, part frame.
     pub(super) const fn tip_mm(&self) -> DVec3 {
         self.tip_mm
     }
 
-    /// What to expect of a part that is believed so and inserted by its likeliest pose. `sigma_rad` and `sigma_mm`
-    /// are what is known of it without sensing.
+    /// Forecast for a part with this belief, inserted by its likeliest pose. `sigma_rad` and `sigma_mm`
+    /// are the prior standard deviations of its pose.
     pub(super) fn forecast(&self, belief: &Belief, sigma_rad: f64, sigma_mm: f64) -> Forecast {
         let back = belief.likeliest().pose.inverse();
         let mut chance = 0.0;
@@ -107,7 +109,7 @@ impl Flank {
             let estimate = share.estimate;
             let information = estimate.in_frame(&estimate.pose.inverse()).information;
             let covariance = joined(&information, sigma_rad, sigma_mm);
-            // A copy that looks the same goes in as well.
+            // A symmetric copy fits as well.
             let copy = Symmetry::nearest_copy(&self.symmetries, &(back * estimate.pose), &Pose::IDENTITY);
             let (omega, v_mm) = copy.log();
             let off = [omega.x, omega.y, omega.z, v_mm.x, v_mm.y, v_mm.z];
@@ -126,10 +128,10 @@ impl Flank {
         }
     }
 
-    /// Share of motions about `off`, drawn from a covariance, that fit; both (ω, v) in the part's frame.
+    /// Fraction of motions drawn around `off` with this covariance that fit; both (ω, v) in the part's frame.
     fn chance(&self, off: &[f64; 6], covariance: &Symmetric<6>) -> f64 {
         let parts = eigen(covariance);
-        // The same draws every time: a forecast is a function of what is known.
+        // Fixed seed, so that a forecast depends on the belief alone.
         let mut stream = Stream::new(0, "chance of insertion");
         let fits = (0..DRAWS)
             .filter(|_| {
@@ -144,7 +146,7 @@ impl Flank {
         fits as f64 / DRAWS as f64
     }
 
-    /// Least distance of the flank from the walls after a motion; below 0 the part does not go in.
+    /// Smallest distance between flank and walls after a motion; below 0 the part does not fit.
     fn room_mm(&self, motion: &Motion) -> f64 {
         let spin = if self.is_round { self.axis * motion.omega.dot(self.axis) } else { DVec3::ZERO };
         let motion = Motion { omega: motion.omega - spin, ..*motion };
@@ -152,8 +154,8 @@ impl Flank {
         self.half_clearance_mm - farthest
     }
 
-    /// Names the motion that costs the most room when it is made by one standard deviation, about the middle
-    /// of the hole.
+    /// Describes the motion that costs the most room when made by one standard deviation, about the
+    /// middle of the hole.
     fn weakest(&self, covariance: &Symmetric<6>) -> String {
         let turns =
             [("lean about", self.across[0]), ("lean about", self.across[1]), ("spin about", self.axis)];
@@ -183,7 +185,7 @@ impl Flank {
         self.room_mm(motion).min(self.room_mm(&back))
     }
 
-    /// Standard deviation of a point's place along a direction.
+    /// Standard deviation of a point's position along a direction.
     fn sigma_at(&self, covariance: &Symmetric<6>, point_mm: DVec3, direction: DVec3) -> f64 {
         // direction · (ω x p + v) = (p x direction) · ω + direction · v
         let turn = point_mm.cross(direction);
@@ -191,7 +193,7 @@ impl Flank {
     }
 
     fn lateral_sigma_mm(&self, covariance: &Symmetric<6>) -> f64 {
-        // The greatest of directions every 10 degrees: the true one is at most 0.4 % larger.
+        // Maximum over directions every 10 degrees: the true maximum is at most 0.4 % larger.
         (0..18)
             .map(|k| {
                 let angle = f64::from(k) * core::f64::consts::PI / 18.0;
@@ -203,7 +205,7 @@ impl Flank {
     }
 }
 
-/// Covariance of a motion in the part's frame: its information joined with what is known without sensing.
+/// Covariance of a motion in the part's frame: the information combined with the prior.
 pub(super) fn joined(information: &Symmetric<6>, sigma_rad: f64, sigma_mm: f64) -> Symmetric<6> {
     let sigma = |i: usize| if i < 3 { sigma_rad } else { sigma_mm };
     // In units of the prior no eigenvalue is below 1.
@@ -240,14 +242,14 @@ mod tests {
     use gelstereo_core::register::PoseEstimate;
     use gelstereo_sim::Shape;
 
-    /// A peg 8 mm in diameter and 40 mm long, its origin in the middle; 10 mm of it go into a hole of 8.2 mm.
+    /// A peg 8 mm in diameter and 40 mm long, origin at its centre; 10 mm of it go into an 8.2 mm hole.
     fn peg() -> Flank {
         let shape = Shape::Cylinder { radius_mm: 4.0, length_mm: 40.0 };
         let template = Template::from_mesh(&shape.mesh(0.003).unwrap(), 0.4, 1).unwrap();
         Flank::of(&template, DVec3::NEG_Z, 10.0, 0.2)
     }
 
-    /// Standard deviations of turns and shifts in the part's frame.
+    /// Diagonal matrix of the squares of `sigma`, turns before shifts, part frame.
     fn diagonal(sigma: [f64; 6]) -> Symmetric<6> {
         core::array::from_fn(|i| core::array::from_fn(|j| if i == j { sigma[i] * sigma[i] } else { 0.0 }))
     }
@@ -257,8 +259,8 @@ mod tests {
         for sigma_mm in [0.02, 0.05, 0.1] {
             let chance = peg().chance(&[0.0; 6], &diagonal([0.0, 0.0, 0.0, sigma_mm, sigma_mm, 0.6]));
             let expected = 1.0 - exp(-0.5 * (0.1 / sigma_mm) * (0.1 / sigma_mm));
-            // Four standard deviations of a share of the draws, and 1 % of the radius between points of the
-            // template.
+            // Four standard errors of the fraction, plus 1 % of the radius for the spacing of template
+            // points.
             let slack = 4.0 * sqrt(expected * (1.0 - expected) / DRAWS as f64) + 0.01;
             assert!((chance - expected).abs() < slack, "{chance} against {expected}");
         }
@@ -270,13 +272,14 @@ mod tests {
         assert_eq!(peg().chance(&[0.0; 6], &diagonal([0.0; 6])), 1.0);
     }
 
-    /// Known to 1e-3 mm and 1e-5 rad at this pose.
+    /// A pose known to 1e-3 mm and 1e-5 rad.
     fn exactly(pose: Pose) -> PoseEstimate {
         let sharp = diagonal([1e5, 1e5, 1e5, 1e3, 1e3, 1e3]);
         PoseEstimate { pose, information: sharp }
     }
 
-    /// A thread's next pitch may be as likely: the part goes in if the pose is one that fits where the likeliest is.
+    /// A thread pose one pitch off may be as likely. The chance is the total probability of the poses that
+    /// fit when inserted by the likeliest one.
     #[test]
     fn the_chance_is_that_of_all_poses_by_their_odds() {
         let here = Pose::from_translation_mm(DVec3::new(3.0, -2.0, 50.0));
@@ -285,7 +288,7 @@ mod tests {
             let belief = Belief::of_two(exactly(here), exactly(there), odds.ln());
             peg().forecast(&belief, 10.0, 100.0)
         };
-        // The hole has 0.1 mm to each side.
+        // The hole has 0.1 mm of room on each side.
         assert!((forecast(DVec3::X * 0.2, 0.25).chance - 0.8).abs() < 1e-9);
         assert!((forecast(DVec3::X * 0.2, 1.0).chance - 0.5).abs() < 1e-9);
         assert!((forecast(DVec3::X * 0.05, 1.0).chance - 1.0).abs() < 1e-9);
@@ -321,8 +324,8 @@ mod tests {
             }
         }
         assert_eq!(peg.weakest(&slides), format!("slide along {}, known to 0.300 mm", along(1)));
-        // A lean is about the middle of the hole: there it shifts nothing, and the tip by 5 mm times its
-        // angle.
+        // A lean turns about the middle of the hole: it does not shift that point, and shifts the tip by
+        // 5 mm times the angle.
         let pose = Pose::from_translation_mm(-peg.middle_mm);
         let information = diagonal([1e3, 1.0 / 0.03, 1e3, 1e3, 1e3, 1e3]);
         let forecast = peg.forecast(&Belief::alone(PoseEstimate { pose, information }), 10.0, 100.0);

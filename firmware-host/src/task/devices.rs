@@ -5,16 +5,16 @@ use crate::gripper::Gripper;
 use crate::robot::Robot;
 use crate::source::{FrameSource, monotonic_ns};
 
-/// What a trigger stops.
+/// Device that a trigger stops.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Stops {
     Gripper,
     Robot,
 }
 
-/// What the task works with.
+/// Devices of a task.
 pub struct Devices {
-    /// Stereo pairs.
+    /// Source of stereo pairs.
     pub source: Box<dyn FrameSource>,
     /// The gripper.
     pub gripper: Box<dyn Gripper>,
@@ -23,11 +23,11 @@ pub struct Devices {
 }
 
 impl Devices {
-    /// Stops one device; returns when the last byte was on the wire, nanoseconds of `CLOCK_MONOTONIC`. For a simulated
-    /// device it is the moment when it has stopped.
+    /// Stops one device; returns when the last byte was on the wire, nanoseconds of `CLOCK_MONOTONIC`.
+    /// For a simulated device this is the moment when it has stopped.
     ///
     /// # Errors
-    /// The device's.
+    /// The device's error.
     pub(super) fn stop_one(&mut self, which: Stops) -> Result<u64, TaskError> {
         let sent_ns = match which {
             Stops::Gripper => {
@@ -38,10 +38,10 @@ impl Devices {
         Ok(sent_ns.unwrap_or_else(monotonic_ns))
     }
 
-    /// Stops gripper and robot at the same time; the one is stopped even if the other fails.
+    /// Stops gripper and robot at the same time; each is stopped even if the other fails.
     ///
     /// # Errors
-    /// The first error of both.
+    /// The first error of the two.
     pub(super) fn stop(&mut self) -> Result<(), TaskError> {
         self.gripper.begin_stop();
         self.robot.begin_stop();

@@ -1,9 +1,9 @@
-//! A thread for each real device, so that a slow answer delays neither the pipeline nor the other device.
+//! A thread per real device, so that a slow response delays neither the pipeline nor the other device.
 //!
-//! The thread asks for the status when the task wants it, once per frame. A command goes before a status that is waiting,
-//! and a stop before all. While nothing moves the thread also asks by itself, so that a device with a watchdog stays
-//! connected during long computations. While something moves it does not: if the task hangs, the device hears nothing and
-//! stops by its watchdog.
+//! The task requests one status per frame. Commands take precedence over pending status requests, and
+//! stops over both. While nothing moves, the thread also polls by itself, so that a device with a
+//! watchdog stays connected during long computations. While something moves it does not: if the task
+//! hangs, the device receives nothing and its watchdog stops it.
 
 use crate::gripper::{Gripper, GripperError, GripperStatus};
 use crate::robot::{Robot, RobotError, RobotStatus};
@@ -12,37 +12,37 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// Between two status requests of a device at rest; a Robotiq gripper wants one each second.
+/// Interval between status requests of a device at rest; a Robotiq gripper needs one per second.
 const KEEP_ALIVE: Duration = Duration::from_millis(200);
-/// A command takes two seconds of attempts at most. Longer means that the driver hangs.
+/// Longest command. Retries take at most two seconds; longer means that the driver hangs.
 const MAX_COMMAND: Duration = Duration::from_secs(5);
 
-/// A device as its thread drives it.
+/// A device as driven by its thread.
 pub trait Driver: Send + 'static {
-    /// What it says of itself.
+    /// Status of the device.
     type Status: Copy + Send;
-    /// Why it does not do what it was asked.
+    /// Reason why the device does not carry out a request.
     type Error: Clone + Send;
 
-    /// Asks for the present state.
+    /// Reads the present state.
     ///
     /// # Errors
-    /// The device's own.
+    /// The device's error.
     fn ask_status(&mut self) -> Result<Self::Status, Self::Error>;
 
-    /// Stops.
+    /// Stops the device.
     ///
     /// # Errors
-    /// The device's own.
+    /// The device's error.
     fn ask_stop(&mut self) -> Result<(), Self::Error>;
 
-    /// When the last bytes to the device were on the wire, nanoseconds of `CLOCK_MONOTONIC`.
+    /// Time when the last bytes to the device were on the wire, nanoseconds of `CLOCK_MONOTONIC`.
     fn wire_ns(&self) -> Option<u64>;
 
-    /// Whether a status says that it moves.
+    /// Whether the device is moving, by its status.
     fn moves(status: &Self::Status) -> bool;
 
-    /// The error of a device that has not answered for so long.
+    /// The error for a device that has not responded for this long.
     fn silent(name: &str, waited: Duration) -> Self::Error;
 }
 
@@ -98,23 +98,23 @@ impl Driver for Box<dyn Robot + Send> {
 
 type Command<D> = Box<dyn FnOnce(&mut D) -> Result<(), <D as Driver>::Error> + Send>;
 
-/// What task and thread tell each other.
+/// Messages between task and thread.
 struct Mailbox<D: Driver> {
     command: Option<Command<D>>,
     stop: bool,
     wants_status: bool,
-    /// Since when a wanted status has not come.
+    /// Time since which a requested status is pending.
     unanswered: Option<Instant>,
     closed: bool,
-    /// What came of the last command or stop.
+    /// Result of the last command or stop.
     done: Option<Result<(), D::Error>>,
     sent_ns: Option<u64>,
-    /// The last status; none after a command until it was asked for again.
+    /// The last status; `None` between a command and the next status.
     status: Option<Result<D::Status, D::Error>>,
 }
 
 impl<D: Driver> Mailbox<D> {
-    /// A status that is under way is enough.
+    /// Requests a status unless one is pending.
     fn want_status(&mut self) {
         if self.unanswered.is_none() {
             (self.wants_status, self.unanswered) = (true, Some(Instant::now()));
@@ -122,7 +122,7 @@ impl<D: Driver> Mailbox<D> {
     }
 }
 
-/// Reported state of one device, shared with its thread.
+/// State of one device, shared with its thread.
 struct Shared<D: Driver> {
     mailbox: Mutex<Mailbox<D>>,
     changed: Condvar,
@@ -134,7 +134,7 @@ impl<D: Driver> Shared<D> {
     }
 }
 
-/// A device behind its thread.
+/// Handle to a device and its thread.
 pub struct DriverThread<D: Driver> {
     shared: Arc<Shared<D>>,
     thread: Option<JoinHandle<()>>,
@@ -144,10 +144,10 @@ pub struct DriverThread<D: Driver> {
 }
 
 impl<D: Driver> DriverThread<D> {
-    /// Starts the thread. A device that leaves a status unanswered for `max_silence` is an error; `name` stands in it.
+    /// Starts the thread. A status pending for longer than `max_silence` is an error that contains `name`.
     ///
     /// # Errors
-    /// The system's, when it has no more threads.
+    /// The system's error when no thread can be started.
     pub fn start(driver: D, name: &str, max_silence: Duration) -> std::io::Result<Self> {
         let mailbox = Mailbox {
             command: None,
@@ -166,7 +166,7 @@ impl<D: Driver> DriverThread<D> {
         Ok(Self { shared, thread: Some(thread), name: name.to_owned(), max_silence, stop_posted: false })
     }
 
-    /// Hands a command over and waits until the driver has done it.
+    /// Sends a command and waits until the driver has carried it out.
     fn call(
         &self,
         command: impl FnOnce(&mut D) -> Result<(), D::Error> + Send + 'static,
@@ -178,7 +178,7 @@ impl<D: Driver> DriverThread<D> {
         self.wait(mailbox, MAX_COMMAND)
     }
 
-    /// Hands a stop over without waiting for it.
+    /// Sends a stop without waiting for it.
     fn post_stop(&mut self) {
         let mut mailbox = self.shared.lock();
         (mailbox.stop, mailbox.done) = (true, None);
@@ -201,7 +201,7 @@ impl<D: Driver> DriverThread<D> {
         mailbox.done.take().unwrap_or_else(|| Err(D::silent(&self.name, limit)))
     }
 
-    /// The last status, and asks for the next one. Waits only for the first status after a command.
+    /// Returns the last status and requests the next one. Waits only for the first status after a command.
     fn last_status(&self) -> Result<D::Status, D::Error> {
         let mut mailbox = self.shared.lock();
         if let Some(since) = mailbox.unanswered.filter(|since| since.elapsed() > self.max_silence) {
@@ -225,13 +225,13 @@ impl<D: Driver> Drop for DriverThread<D> {
         self.shared.lock().closed = true;
         self.shared.changed.notify_all();
         if let Some(thread) = self.thread.take() {
-            // A driver that panicked has nothing more to say.
+            // The panic of a driver thread is ignored.
             let _ = thread.join();
         }
     }
 }
 
-/// What the thread does next.
+/// Next action of the thread.
 enum Next<D: Driver> {
     Stop,
     Command(Command<D>),
@@ -258,7 +258,7 @@ fn serve<D: Driver>(mut driver: D, shared: &Shared<D>) {
     }
 }
 
-/// Waits for something to do. A device at rest is asked for its status by and by.
+/// Waits for the next action. A device at rest is polled for its status.
 fn next<D: Driver>(shared: &Shared<D>) -> Next<D> {
     let idle = |mailbox: &mut Mailbox<D>| {
         !(mailbox.stop || mailbox.command.is_some() || mailbox.wants_status || mailbox.closed)
@@ -280,7 +280,7 @@ fn next<D: Driver>(shared: &Shared<D>) -> Next<D> {
     }
 }
 
-/// The status before a command says nothing of what comes after it.
+/// Discards the status from before a command: it is no longer valid.
 fn answer<D: Driver>(shared: &Shared<D>, result: Result<(), D::Error>, sent_ns: Option<u64>) {
     let mut mailbox = shared.lock();
     (mailbox.done, mailbox.sent_ns, mailbox.status) = (Some(result), sent_ns, None);

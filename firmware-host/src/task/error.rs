@@ -1,4 +1,4 @@
-//! Why a task ends before its last stage.
+//! Errors that end a task before its last stage.
 
 use super::noise::MIN_SIGMAS;
 use crate::gripper::GripperError;
@@ -9,43 +9,43 @@ use crate::source::SourceError;
 use gelstereo_core::frames::WidthError;
 use std::time::Duration;
 
-/// Why a task broke off. Gripper and robot were stopped, and the recording was closed.
+/// Reason why a task broke off. Gripper and robot were stopped, and the recording was closed.
 #[derive(Debug)]
 pub enum TaskError {
-    /// No stereo pair.
+    /// The source of stereo pairs failed.
     Source(SourceError),
-    /// The gripper.
+    /// The gripper failed.
     Gripper(GripperError),
-    /// The robot.
+    /// The robot failed.
     Robot(RobotError),
-    /// The gripper stands where the mount says that it cannot.
+    /// The gripper reports a width outside the range of the mount.
     Width(WidthError),
-    /// Frames could not be sensed, or a request of the pipeline was refused.
+    /// Frames could not be processed, or a pipeline action failed.
     Sensing {
-        /// During this stage.
+        /// The stage.
         stage: Stage,
-        /// Frames that failed in a row; 0 for a request.
+        /// Frames that failed in a row; 0 for an action.
         bad_frames: u32,
-        /// Why the last one failed.
+        /// The last error.
         error: SensingError,
     },
-    /// The camera was silent while something moved.
+    /// The camera delivered no image while something moved.
     CameraSilent {
-        /// During this stage.
+        /// The stage.
         stage: Stage,
-        /// For how long.
+        /// Duration of the silence.
         silent: Duration,
     },
     /// A result came too late while something moved.
     Late {
-        /// During this stage.
+        /// The stage.
         stage: Stage,
         /// From the image to the result.
         took: Duration,
         /// `task.max_late_periods`, as a time.
         limit: Duration,
     },
-    /// A trigger in sigmas lies so low that noise alone would reach it.
+    /// A trigger in sigmas is so low that noise alone would reach it.
     TriggerInNoise {
         /// `grasp` or `insertion`.
         name: &'static str,
@@ -55,14 +55,14 @@ pub enum TaskError {
         bound_px: f64,
         /// Median of the mean marker motion at rest.
         level_px: f64,
-        /// Its robust standard deviation.
+        /// Robust standard deviation of the same.
         sigma_px: f64,
-        /// Frames that it was measured over.
+        /// Number of frames measured.
         frames: usize,
     },
-    /// A stage did not end.
+    /// A stage exceeded its time limit.
     StageTimeout {
-        /// Which.
+        /// The stage.
         stage: Stage,
         /// `task.stage_timeout_s`.
         limit_s: f64,
@@ -70,7 +70,7 @@ pub enum TaskError {
 }
 
 impl TaskError {
-    /// What kind of error it is, in the words of the JSON summary.
+    /// Kind of error, as used in the JSON summary.
     pub(crate) const fn cause(&self) -> &'static str {
         match self {
             Self::Source(_) => "source",
@@ -130,7 +130,7 @@ impl std::fmt::Display for TaskError {
 
 impl std::error::Error for TaskError {}
 
-/// Why a stage does not go on.
+/// Reason why a stage ends early.
 pub(super) enum Halt {
     Outcome(Outcome),
     Error(TaskError),

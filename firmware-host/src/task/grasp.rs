@@ -1,4 +1,4 @@
-//! Close the fingers until the grasp trigger.
+//! Closes the fingers until the grasp trigger.
 
 use super::cell::{Cell, Trigger};
 use super::devices::Stops;
@@ -7,11 +7,12 @@ use super::log::figure;
 use super::watch::Guard;
 use crate::report::{Outcome, Stage};
 
-/// The frame after the one that triggers may be exposed before the fingers stand, the one after it is not: both are
-/// let go. A pose from a frame with moving fingers was off by 0.25 mm at 20 mm/s and 30 Hz (simulated).
+/// The frame after the triggering one may be exposed before the fingers stand still; the next one is not.
+/// Both are skipped. A pose from a frame with moving fingers was off by 0.25 mm at 20 mm/s and 30 Hz
+/// (simulated).
 const STALE_FRAMES: u32 = 2;
 
-/// Closes until the markers' mean motion reaches the grasp trigger.
+/// Closes the fingers until the mean marker motion reaches the grasp trigger.
 pub(super) fn grasp(cell: &mut Cell) -> Result<(), Halt> {
     cell.log.begin(Stage::Close);
     let task = &cell.config.task;

@@ -1,4 +1,4 @@
-//! Lower the part until the insertion trigger.
+//! Lowers the part until the insertion trigger.
 
 use super::cell::{Cell, Trigger};
 use super::devices::Stops;
@@ -29,7 +29,7 @@ pub(super) fn insert(cell: &mut Cell, above: &Pose, held: &Held) -> Result<Outco
     };
     let now = cell.devices.robot.status()?.t_base_gripper;
     let depth_mm = (now.translation_mm - above.translation_mm).dot(inwards) - task.approach_mm;
-    // The robot cannot know the depth better than the part's place along the axis: three sigma.
+    // The depth is known no better than the part's position along the axis: three sigma.
     let within_mm = 3.0 * held.localized.axial_sigma_mm;
     let enough = depth_mm >= task.insertion_depth_mm - within_mm;
     cell.log.end(vec![figure("motion_px", felt.motion_px), figure("depth_mm", depth_mm)]);

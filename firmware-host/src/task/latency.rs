@@ -1,33 +1,34 @@
-//! From an image to the stop command that it causes: how long each step took, on this computer's clock.
+//! Latency from an image to the stop command that it causes, step by step, on this computer's clock.
 
 use crate::sense::{Histogram, Quantiles};
 use crate::source::{Capture, monotonic_ns};
 use serde::Serialize;
 use std::time::Duration;
 
-/// Moments of one frame, nanoseconds of `CLOCK_MONOTONIC`.
+/// Times of one frame, nanoseconds of `CLOCK_MONOTONIC`.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct FrameTimes {
-    /// When the driver had the image; absent where the source has no driver.
+    /// Arrival of the image at the driver; absent where the source has no driver.
     driver_ns: Option<u64>,
-    /// When the task had the decoded pair.
+    /// Arrival of the decoded pair at the task.
     received_ns: u64,
     sensed_ns: u64,
 }
 
 impl FrameTimes {
-    /// A pair that was just received.
+    /// Times of a pair that was just received.
     pub(super) fn received(capture: &Capture) -> Self {
         let received_ns = capture.received_ns.unwrap_or_else(monotonic_ns);
         Self { driver_ns: capture.driver_ns, received_ns, sensed_ns: received_ns }
     }
 
-    /// The pair was just sensed.
+    /// Marks the pair as just processed.
     pub(super) fn sensed(&mut self) {
         self.sensed_ns = monotonic_ns();
     }
 
-    /// From the image to its result: from the driver's timestamp, or from the receipt where there is no driver.
+    /// Latency from the image to its result: from the driver's timestamp, or from the receipt without a
+    /// driver.
     pub(super) fn image_to_sensed(&self) -> Duration {
         since(self.image_ns(), self.sensed_ns)
     }
@@ -45,7 +46,7 @@ fn ms(duration: Duration) -> f64 {
     duration.as_secs_f64() * 1e3
 }
 
-/// One stop that a trigger caused.
+/// One stop caused by a trigger.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct StopReport {
     /// Name of the trigger: `grasp` or `insertion`.
@@ -58,11 +59,11 @@ pub struct StopReport {
     pub sensed_to_wire_ms: f64,
     /// From the driver's timestamp, or the decoded pair where there is none, to the last byte on the wire.
     pub image_to_wire_ms: f64,
-    /// Pairs that the source lost or passed over just before this image.
+    /// Pairs that the source lost or skipped just before this image.
     pub dropped: u64,
 }
 
-/// How long it took from images to results and to stop commands. Wall times, also in simulation.
+/// Latencies from images to results and to stop commands. Wall times, also in simulation.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct LatencyReport {
     /// Each frame, from the driver's timestamp to the decoded pair.
@@ -77,7 +78,7 @@ pub struct LatencyReport {
     pub stops: Vec<StopReport>,
 }
 
-/// Collects a report.
+/// Collects the figures of a report.
 #[derive(Default)]
 pub(super) struct LatencyMeter {
     driver_to_received: Histogram,
@@ -95,7 +96,7 @@ impl LatencyMeter {
         self.received_to_sensed.add(since(times.received_ns, times.sensed_ns));
     }
 
-    /// A trigger's stop, whose last byte was on the wire at `wire_ns`.
+    /// Adds a stop by a trigger; its last byte was on the wire at `wire_ns`.
     pub(super) fn stop(&mut self, cause: &'static str, times: &FrameTimes, wire_ns: u64, dropped: u64) {
         let sensed_to_wire = since(times.sensed_ns, wire_ns);
         let image_to_wire = since(times.image_ns(), wire_ns);

@@ -1,4 +1,4 @@
-//! Find the part's pose in the hand, and say what it allows.
+//! Localizes the part in the hand and decides whether the pose can be used.
 
 use super::TaskError;
 use super::belief::Belief;
@@ -17,13 +17,13 @@ use gelstereo_core::register::{PoseEstimate, Registration};
 pub(super) struct Held {
     /// Maps part coordinates to gripper coordinates.
     pub(super) t_gripper_object: Pose,
-    /// The same with its information and the other poses that explain the contacts, by all looks.
+    /// The same pose with its information and the alternative poses, from all looks.
     pub(super) belief: Belief,
-    /// What the last contact alone told.
+    /// Estimate from the last contact alone.
     pub(super) contact: PoseEstimate,
-    /// Its evidence.
+    /// Figures of the localization.
     pub(super) localized: Localized,
-    /// Faces that it was brought to; it is out of its holder if there is one.
+    /// Faces that the part has touched; if not empty, the part is out of its holder, if any.
     pub(super) touched: Vec<TouchedSide>,
 }
 
@@ -40,12 +40,12 @@ impl Held {
 /// A side of the part that touched a face.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct TouchedSide {
-    /// Which of `task.edges`.
+    /// Index into `task.edges`.
     pub(super) edge: usize,
     pub(super) side: Side,
 }
 
-/// A side of the part in the hand that no finger covers.
+/// A side of the held part that no finger covers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Side {
     /// Towards +y of the gripper.
@@ -68,25 +68,25 @@ impl Side {
     }
 }
 
-/// What a localization allows.
+/// Result of a localization.
 pub(super) enum Localization {
-    /// Align and insert by this pose.
+    /// Align and insert with this pose.
     Go(Box<Held>),
-    /// There is no pose.
+    /// No pose was found.
     Declined {
-        /// Why, in words.
+        /// The reason, in words.
         reason: String,
     },
-    /// The pose is not known well enough for the hole.
+    /// The pose is too uncertain for the hole.
     TooUncertain {
-        /// The evidence of its pose.
+        /// Figures of the localization.
         localized: Box<Localized>,
-        /// What is expected of the insertion.
+        /// Forecast of the insertion.
         forecast: Forecast,
     },
 }
 
-/// Registers the contact to the part's template, from where the part is expected in the gripper's frame.
+/// Registers the contact to the part's template, starting from the part's expected pose in the gripper frame.
 pub(super) fn localize(cell: &mut Cell, expected_t_gripper_object: &Pose) -> Result<Localization, Halt> {
     cell.log.begin(Stage::Localize);
     let width_mm = cell.devices.gripper.status()?.width_mm;
@@ -121,7 +121,7 @@ pub(super) fn localize(cell: &mut Cell, expected_t_gripper_object: &Pose) -> Res
     Ok(Localization::Go(Box::new(Held { t_gripper_object, belief, contact, localized, touched: Vec::new() })))
 }
 
-/// Puts a registration's evidence together, and records the pose with its covariance.
+/// Collects the figures of a registration, and records the pose with its covariance.
 fn evidence(cell: &mut Cell, found: &Registration, t_gripper_object: &Pose) -> Localized {
     let task = &cell.config.task;
     let covariance = sensing::covariance(

@@ -1,4 +1,4 @@
-//! What a task writes down: its recording, the digest of its results, and the reports of its stages.
+//! Log of a task: its recording, the digest of its results, and the reports of its stages.
 
 use super::Sinks;
 use crate::gripper::GripperStatus;
@@ -21,7 +21,7 @@ pub(super) struct Log<'a> {
     digest: Digest,
     stage: Stage,
     begun: Instant,
-    /// The source's time at the beginning of the stage; unknown before the first pair.
+    /// The source's time at the start of the stage; `None` before the first pair.
     begun_ns: Option<u64>,
     time_ns: u64,
     frames: u64,
@@ -55,7 +55,7 @@ impl<'a> Log<'a> {
         (self.stage, self.frames, self.bad_frames) = (stage, 0, 0);
         self.trace.begin(stage);
         self.begun = Instant::now();
-        // Before the first pair the source's clock is unknown: it may count from its start or from the epoch.
+        // The source's clock is unknown before the first pair: it may count from its start or from the epoch.
         self.begun_ns = self.begun_ns.map(|_| self.time_ns);
         self.note(&serde_json::json!({ "stage": stage }));
     }
@@ -74,23 +74,23 @@ impl<'a> Log<'a> {
         self.stages.push(report);
     }
 
-    /// How long the stage has taken on the frame source's clock.
+    /// Duration of the stage on the frame source's clock.
     pub(super) fn source_s(&self) -> f64 {
         self.begun_ns.map_or(0.0, |begun_ns| self.time_ns.saturating_sub(begun_ns) as f64 * 1e-9)
     }
 
-    /// A stereo pair came.
+    /// Registers the arrival of a stereo pair.
     pub(super) fn pair_came(&mut self, time_ns: u64) {
         self.time_ns = time_ns;
         self.begun_ns.get_or_insert(time_ns);
     }
 
-    /// A stereo pair is let go, without being sensed or recorded.
+    /// Skips a stereo pair, without processing or recording it.
     pub(super) fn let_go(&mut self, pair: &StereoPair) {
         self.trace.passed(pair);
     }
 
-    /// Records a stereo pair, the state of gripper and robot, and what came of sensing the pair.
+    /// Records a stereo pair, the state of gripper and robot, and the result of processing the pair.
     pub(super) fn sensed(
         &mut self,
         pair: &StereoPair,
@@ -116,7 +116,7 @@ impl<'a> Log<'a> {
         }
     }
 
-    /// Records what the pipeline was asked, and what came of it.
+    /// Records a pipeline action and its result.
     pub(super) fn acted(
         &mut self,
         action: &Action,
@@ -170,7 +170,7 @@ impl<'a> Log<'a> {
     }
 }
 
-/// What a log keeps for the report.
+/// Contents of a log that go into the report.
 pub(super) struct LogSummary {
     pub(super) stages: Vec<StageReport>,
     pub(super) digest: String,

@@ -1,4 +1,4 @@
-//! The paper's task: grasp, localize, align, insert (section V-A), and then leave the hole.
+//! The paper's task: grasp, localize, align, insert (section V-A), then retreat from the hole.
 
 mod align;
 mod belief;
@@ -48,33 +48,33 @@ use second_look::look_until_known;
 use std::sync::atomic::AtomicBool;
 use teach::teach;
 
-/// One task.
+/// One run of the task.
 pub struct Task<'a> {
     cell: Cell<'a>,
     localized: Option<Localized>,
 }
 
-/// Where a task writes what happens.
+/// Outputs of a task.
 pub struct Sinks<'a> {
-    /// The recording, if there is one.
+    /// The recording, if any.
     pub recording: Option<Recording>,
-    /// What the page of the run shows.
+    /// Data for the page of the run.
     pub trace: &'a mut Trace,
-    /// Gets the report of every stage that is over.
+    /// Receives the report of each completed stage.
     pub progress: &'a mut dyn FnMut(&StageReport),
 }
 
-/// What came of teaching.
+/// Result of teaching.
 pub struct Teaching {
-    /// How it went.
+    /// Report of the run.
     pub report: JobReport,
     /// The goal, if the part was localized in it.
     pub taught: Option<Taught>,
 }
 
 impl<'a> Task<'a> {
-    /// Ready to run. `goal` is the part's pose when it is inserted (`t_base_object`); `stop` is read at least once per
-    /// frame.
+    /// Prepares a task. `goal` is the part's pose when inserted (`t_base_object`); `stop` is read at
+    /// least once per frame.
     pub fn new(
         config: &'a Config,
         devices: Devices,
@@ -87,17 +87,17 @@ impl<'a> Task<'a> {
         Self { cell: Cell::new(config, devices, sensing, goal, log, stop), localized: None }
     }
 
-    /// Runs all stages. Whatever happens, stops the devices and closes the recording.
+    /// Runs all stages. Always stops the devices and closes the recording.
     ///
     /// # Errors
-    /// [`TaskError`]; a task that ends without success is no error but an [`Outcome`].
+    /// [`TaskError`]; a task that ends without success is not an error but an [`Outcome`].
     pub fn run(mut self) -> Result<JobReport, TaskError> {
         let result = self.stages();
         self.finish(result)
     }
 
-    /// Grasps the part in its goal and localizes it there. With `stay` the robot does not come to the part: somebody has
-    /// brought the open fingers around it.
+    /// Grasps the part at its goal and localizes it there. With `stay` the robot does not approach: the
+    /// open fingers are already around the part.
     ///
     /// # Errors
     /// As [`Self::run`].

@@ -1,4 +1,4 @@
-//! Triggers in multiples of this sensor's own noise.
+//! Triggers in multiples of the sensor's measured noise.
 
 use super::TaskError;
 use super::cell::Cell;
@@ -6,19 +6,19 @@ use super::error::Halt;
 use crate::config::Config;
 use serde::Serialize;
 
-/// The scale's own standard error is to be a fifth. The median absolute deviation has 37 % of the efficiency of the
-/// standard deviation on normal noise, so that 1 / (2 * 0.37 * 0.2²) = 34 frames are enough.
+/// Frames for a relative standard error of the scale of one fifth. The median absolute deviation has 37 %
+/// of the efficiency of the standard deviation on normal noise: 1 / (2 * 0.37 * 0.2²) = 34 frames.
 const FRAMES: usize = 34;
-/// Scale of a normal distribution over its median absolute deviation.
+/// Standard deviation of a normal distribution divided by its median absolute deviation.
 const NORMAL_MAD: f64 = 1.4826;
-/// One false alarm in 1e7 frames of normal noise, four days of guarded moves at 30 Hz, is at 5.2 sigmas. The scale may be
-/// two standard errors too small: 5.2 * (1 + 2 * 0.2) = 7.3.
+/// Lowest trigger in sigmas. On normal noise, one false alarm in 1e7 frames (four days of guarded moves
+/// at 30 Hz) is at 5.2 sigmas. The scale may be two standard errors too small: 5.2 * (1 + 2 * 0.2) = 7.3.
 pub const MIN_SIGMAS: f64 = 7.3;
 
-/// Mean marker motion with nothing touching the gel, against the rest frame.
+/// Mean marker motion relative to the rest frame, with nothing touching the gel.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub(super) struct RestNoise {
-    /// Median. Lengths of motions are positive, so that it is not zero.
+    /// Median; not zero, because lengths of motions are positive.
     pub(super) level_px: f64,
     /// Robust standard deviation.
     pub(super) sigma_px: f64,
@@ -33,7 +33,7 @@ impl RestNoise {
         Self { level_px, sigma_px: NORMAL_MAD * median(&mut deviations), frames }
     }
 
-    /// So many sigmas above the level.
+    /// Motion this many sigmas above the level.
     fn at(&self, sigmas: f64) -> f64 {
         self.level_px + sigmas * self.sigma_px
     }
@@ -66,11 +66,11 @@ impl Triggers {
         }
     }
 
-    /// A trigger that the noise reaches by itself would stop moves that touch nothing.
+    /// Rejects triggers that noise alone would reach, stopping moves without contact.
     fn check(&self, noise: &RestNoise) -> Result<(), TaskError> {
         let bound_px = noise.at(MIN_SIGMAS);
         for (name, found_px) in [("grasp", self.grasp_px), ("insertion", self.insertion_px)] {
-            // Images that repeat have no noise to measure.
+            // Repeated images have no noise to measure.
             if !(found_px >= bound_px && noise.sigma_px > 0.0) {
                 let RestNoise { level_px, sigma_px, frames } = *noise;
                 return Err(TaskError::TriggerInNoise {
@@ -87,7 +87,7 @@ impl Triggers {
     }
 }
 
-/// Measures the noise where triggers are said in sigmas; returns it with the triggers.
+/// Measures the noise if triggers are given in sigmas, and sets the triggers; returns the noise.
 pub(super) fn measure(cell: &mut Cell) -> Result<Option<RestNoise>, Halt> {
     let task = &cell.config.task;
     if task.grasp_trigger_sigmas.is_none() && task.insertion_trigger_sigmas.is_none() {
@@ -111,7 +111,7 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        /// One frame of ten may be any outlier: the scale of the others is found to a factor of three.
+        /// One frame in ten may be any outlier: the scale of the rest is found within a factor of three.
         #[test]
         fn the_scale_is_robust(
             noise in prop::collection::vec(-1.0..1.0_f64, 31),

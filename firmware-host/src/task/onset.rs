@@ -1,44 +1,44 @@
-//! Where on its way a part first touched: the place where the marker motion begins to grow.
+//! Onset of a touch: the position at which the marker motion begins to grow.
 //!
-//! The trigger acts later, when the part has dragged the gel for some tenths of a millimetre. From the
-//! first touch on the motion grows with the way, so that a line through the frames from there to the
-//! trigger meets the motion before it at the place of the touch.
+//! The trigger fires later, when the part has dragged the gel by some tenths of a millimetre. The motion
+//! grows with the travel after the first touch. A line through the frames up to the trigger therefore
+//! meets the previous motion level at the position of the touch.
 
 use gelstereo_core::math::sqrt;
 
 /// A frame of the slow move.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Sample {
-    /// Way of the hand since the move began.
+    /// Travel of the hand since the move began.
     pub(super) travel_mm: f64,
     /// Mean marker motion.
     pub(super) motion_px: f64,
 }
 
-/// The place of the first touch.
+/// Position of the first touch.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Onset {
-    /// Way of the hand until then.
+    /// Travel of the hand at the touch.
     pub(super) travel_mm: f64,
-    /// Standard deviation of that, by the fit alone.
+    /// Its standard deviation from the fit alone.
     pub(super) sigma_mm: f64,
 }
 
-/// Frames before the touch that tell its level: fewer, and the part may have touched before the move began.
+/// Least number of frames for the level before the touch. With fewer, the part may have touched before
+/// the move.
 const MIN_QUIET: usize = 3;
-/// Share of the motion at the trigger from which a frame belongs to the line. Below, lengths of motions of
-/// the markers' noise add to those of the drag.
+/// Fraction of the motion at the trigger above which a frame belongs to the line. Below it, marker noise
+/// adds to the motion lengths of the drag.
 const RAMP_SHARE: f64 = 0.1;
 
-/// The first touch of a move that a trigger ended, which is the last sample; none if the move was not quiet
-/// at first.
+/// First touch of a move that a trigger ended at the last sample; `None` if the move did not start quietly.
 pub(super) fn onset(samples: &[Sample]) -> Option<Onset> {
     let last = samples.last()?;
     let first = samples.first()?;
     let threshold_px = first.motion_px + RAMP_SHARE * (last.motion_px - first.motion_px);
     let ramp = samples.iter().rev().take_while(|sample| sample.motion_px >= threshold_px).count();
     let (quiet, ramp) = samples.split_at(samples.len() - ramp);
-    // The frame before the line may show the first tenth of the motion.
+    // The frame before the line may already show up to this fraction of the motion.
     let (before, quiet) = quiet.split_last()?;
     if quiet.len() < MIN_QUIET {
         return None;
@@ -50,7 +50,7 @@ pub(super) fn onset(samples: &[Sample]) -> Option<Onset> {
     })
 }
 
-/// Where the line through the frames meets the level; none of fewer than three, which leave no residual.
+/// Intersection of the line with the level; `None` for fewer than three frames, which leave no residual.
 fn line_onset(ramp: &[Sample], level_px: f64) -> Option<Onset> {
     if ramp.len() < 3 {
         return None;
@@ -71,7 +71,7 @@ fn line_onset(ramp: &[Sample], level_px: f64) -> Option<Onset> {
     });
     let variance_px = residuals.sum::<f64>() / (count - 2.0);
     let back_mm = (mean_px - level_px) / slope;
-    // Of the line's height and slope (Draper and Smith, Applied Regression Analysis, 3.2).
+    // Variance from the line's height and slope (Draper and Smith, Applied Regression Analysis, 3.2).
     let variance_mm = variance_px / (slope * slope) * (1.0 / count + back_mm * back_mm / spread);
     Some(Onset { travel_mm: mean_mm - back_mm, sigma_mm: sqrt(variance_mm) })
 }
@@ -83,8 +83,7 @@ mod tests {
     use gelstereo_core::math::random::Stream;
     use proptest::prelude::*;
 
-    /// A hand that goes so far between two frames; the motion grows from `at_mm` on until the trigger of 5
-    /// px.
+    /// A move with `step_mm` between frames; the motion grows from `at_mm` until the trigger at 5 px.
     fn moved(step_mm: f64, at_mm: f64, slope: f64, noise_px: f64, seed: u64) -> Vec<Sample> {
         let mut stream = Stream::new(seed, "onset");
         let mut samples: Vec<Sample> = Vec::new();
@@ -105,14 +104,13 @@ mod tests {
             step_mm in 0.01..0.05_f64, at_mm in 0.5..2.0_f64, slope in 8.0..20.0_f64, seed in 0..1000_u64,
         ) {
             let found = onset(&moved(step_mm, at_mm, slope, 0.01, seed)).unwrap();
-            // Of few frames the residual is known to a factor of some: 0.002 mm are the noise over the
-            // slope, doubled.
+            // The residual of a few frames is inaccurate: 0.002 mm is twice the noise over the slope.
             prop_assert!((found.travel_mm - at_mm).abs() < 6.0 * found.sigma_mm + 2e-3, "{found:?} {at_mm}");
             prop_assert!(found.sigma_mm < 5e-3, "{found:?}");
         }
     }
 
-    /// The trigger itself is late by what the gel gives way.
+    /// The trigger itself is late by the compliance of the gel.
     #[test]
     fn the_line_is_far_better_than_the_trigger() {
         let samples = moved(0.033, 1.0, 15.0, 0.01, 1);

@@ -1,4 +1,4 @@
-//! Open the gripper at the part; take the rest frame.
+//! Opens the gripper at the part; takes the rest frame.
 
 use super::cell::Cell;
 use super::error::Halt;
@@ -10,7 +10,7 @@ use crate::sensing::Action;
 use gelstereo_core::math::Pose;
 use gelstereo_core::track::MarkerState;
 
-/// Makes the gripper ready, opens it and brings it to a pose, or leaves it where it is.
+/// Activates and opens the gripper; moves it to a pose, or leaves it in place.
 pub(super) fn open(cell: &mut Cell, t_base_gripper: Option<&Pose>) -> Result<(), Halt> {
     cell.log.begin(Stage::Open);
     cell.activate_gripper()?;
@@ -19,7 +19,7 @@ pub(super) fn open(cell: &mut Cell, t_base_gripper: Option<&Pose>) -> Result<(),
     if let Some(t_base_gripper) = t_base_gripper {
         cell.move_robot(t_base_gripper, task.move_speed_mm_s, Guard::Free)?;
     }
-    // Frames on the way show neither rest nor contact: they are let go.
+    // Frames on the way show neither rest nor contact and are skipped.
     while cell.moves()? {
         cell.skip_pair()?;
     }
@@ -28,7 +28,7 @@ pub(super) fn open(cell: &mut Cell, t_base_gripper: Option<&Pose>) -> Result<(),
     Ok(())
 }
 
-/// Takes the frame without contact that motion counts from.
+/// Takes the reference frame without contact, from which motion is measured.
 pub(super) fn rest(cell: &mut Cell) -> Result<(), Halt> {
     cell.log.begin(Stage::Rest);
     cell.act(&Action::Reset)?;

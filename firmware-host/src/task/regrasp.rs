@@ -1,7 +1,7 @@
-//! Take a part that stands in its holder again, with the hand turned about the part's axis.
+//! Grasps a part standing in its holder again, with the hand turned about the part's axis.
 //!
 //! The hand opens, rises, turns and closes again. Poses are fused in the base frame by their information,
-//! each with the other poses that explain its contact.
+//! including the alternative poses of each contact.
 
 use super::belief::{Belief, FusedBelief, expected_anyway};
 use super::cell::Cell;
@@ -16,30 +16,30 @@ use crate::report::Stage;
 use gelstereo_core::math::{DVec3, Pose};
 use gelstereo_core::register::PoseEstimate;
 
-/// 99.9 % of chi-squared with six degrees of freedom: two looks at a part that stood still seldom differ by
-/// more.
+/// 99.9 % quantile of chi-squared with six degrees of freedom: two looks at a part that stood still
+/// seldom differ by more.
 const MAX_SQUARED_DISTANCE: f64 = 22.458;
 
-/// A second grasp, and the chance of insertion that is expected after it.
+/// A second grasp, and the chance of insertion expected after it.
 pub(super) struct RegraspPlan {
     pub(super) turn_rad: f64,
     pub(super) chance: f64,
-    /// The hand that holds the part then.
+    /// Pose of the hand at that grasp.
     pub(super) t_base_gripper: Pose,
-    /// What is known of the part then, gripper frame.
+    /// Expected estimate of the part afterwards, gripper frame.
     pub(super) expected: PoseEstimate,
 }
 
-/// The turn of the hand about the part's axis after which the chance is the highest, if the next contact
-/// tells as much as the last one; the least turn of those alike. Other poses are left out: which of them
-/// the next contact tells apart is not known.
+/// Finds the turn of the hand about the part's axis with the highest expected chance; on ties, no turn.
+/// It assumes that the next contact is as informative as the last one. Alternative poses are ignored,
+/// because it is unknown which of them the next contact rules out.
 pub(super) fn best_regrasp(cell: &Cell, flank: &Flank, held: &Held, t_base_gripper: &Pose) -> RegraspPlan {
     let task = &cell.config.task;
     let known = held.belief.likeliest().in_frame(t_base_gripper);
     let plan = |turn_rad: f64| {
         let t_base_gripper = hand_around(cell, &known.pose, turn_rad);
         let before = disturbed(cell, &known, &t_base_gripper);
-        // The next contact tells in the turned hand what the last one told in that one.
+        // Assumes the last contact's information, rotated with the hand.
         let turned = held.contact.in_frame(&t_base_gripper);
         let information = core::array::from_fn(|i| {
             core::array::from_fn(|j| before.information[i][j] + turned.information[i][j])
@@ -54,7 +54,7 @@ pub(super) fn best_regrasp(cell: &Cell, flank: &Flank, held: &Held, t_base_gripp
     fitting.fold(plan(0.0), |best, plan| if plan.chance > best.chance { plan } else { best })
 }
 
-/// Whether the open fingers go around the part after a turn.
+/// Whether the open fingers fit around the part after a turn.
 fn fits_between_fingers(cell: &Cell, turn_rad: f64) -> bool {
     let t_object_gripper = hand_around(cell, &Pose::IDENTITY, turn_rad);
     let closing = t_object_gripper.transform_vector(DVec3::X);
@@ -63,7 +63,7 @@ fn fits_between_fingers(cell: &Cell, turn_rad: f64) -> bool {
     width_mm < cell.config.task.open_width_mm
 }
 
-/// Takes the part again by the plan and localizes it.
+/// Grasps the part again by the plan and localizes it.
 pub(super) fn look_again(cell: &mut Cell, held: &Held, plan: &RegraspPlan) -> Result<Localization, Halt> {
     let t_base_gripper = cell.devices.robot.status()?.t_base_gripper;
     let known = held.belief.in_frame(&t_base_gripper);
@@ -71,14 +71,13 @@ pub(super) fn look_again(cell: &mut Cell, held: &Held, plan: &RegraspPlan) -> Re
     fused_look(cell, &known)
 }
 
-/// Pose of the gripper, `t_base_gripper`, that holds the part as is expected, but turned about the part's
-/// axis.
+/// Gripper pose `t_base_gripper` that holds the part as expected, but turned about the part's axis.
 fn hand_around(cell: &Cell, t_base_object: &Pose, turn_rad: f64) -> Pose {
     let turn = Pose::exp(cell.config.insertion_axis() * turn_rad, DVec3::ZERO);
     *t_base_object * turn * cell.config.expected_t_gripper_object().inverse()
 }
 
-/// What is known of a part once the fingers have closed on it again, base frame: they push it along the
+/// Estimate of a part after the fingers have closed on it again, base frame: they push it along the
 /// gripper's x.
 fn disturbed(cell: &Cell, known: &PoseEstimate, t_base_gripper: &Pose) -> PoseEstimate {
     let task = &cell.config.task;
@@ -89,7 +88,7 @@ fn disturbed(cell: &Cell, known: &PoseEstimate, t_base_gripper: &Pose) -> PoseEs
     held.disturbed(held.pose.translation_mm, turns_rad, shifts_mm).in_frame(t_base_gripper)
 }
 
-/// Lets go of the standing part, and takes it again with the hand turned about its axis.
+/// Releases the standing part, and grasps it again with the hand turned about its axis.
 fn regrasp(cell: &mut Cell, t_base_object: &Pose, turn_rad: f64) -> Result<(), Halt> {
     cell.log.begin(Stage::Open);
     let task = &cell.config.task;
@@ -108,7 +107,7 @@ fn regrasp(cell: &mut Cell, t_base_object: &Pose, turn_rad: f64) -> Result<(), H
     grasp(cell)
 }
 
-/// Lets frames go until nothing moves.
+/// Skips frames until nothing moves.
 fn wait(cell: &mut Cell) -> Result<(), Halt> {
     while cell.moves()? {
         cell.skip_pair()?;
@@ -116,7 +115,7 @@ fn wait(cell: &mut Cell) -> Result<(), Halt> {
     Ok(())
 }
 
-/// Localizes the part in the hand, and fuses that with what was known of it in the base frame.
+/// Localizes the part in the hand, and fuses the result with the previous belief in the base frame.
 fn fused_look(cell: &mut Cell, known: &Belief) -> Result<Localization, Halt> {
     let t_base_gripper = cell.devices.robot.status()?.t_base_gripper;
     let guess = t_base_gripper.inverse() * known.likeliest().pose;

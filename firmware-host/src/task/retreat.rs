@@ -1,4 +1,4 @@
-//! Leave the hole: without the part when it is inserted, with the part when it is not.
+//! Leaves the hole: without the part if it is inserted, otherwise with it.
 
 use super::cell::Cell;
 use super::error::Halt;
@@ -7,10 +7,10 @@ use super::watch::Guard;
 use crate::report::{Outcome, Stage};
 use gelstereo_core::math::Pose;
 
-/// Backs off along the axis of insertion, and returns when the robot stands.
+/// Backs off along the insertion axis, and returns when the robot stands still.
 ///
-/// An inserted part is let go first. A part that is not inserted stays in the hand and goes back to `above` at the speed of
-/// the insertion, since it may be wedged.
+/// An inserted part is released first. Otherwise the part stays in the hand and returns to `above` at
+/// insertion speed, since it may be wedged.
 pub(super) fn retreat(cell: &mut Cell, above: &Pose, outcome: &Outcome) -> Result<(), Halt> {
     if matches!(outcome, Outcome::Inserted { .. }) {
         return let_go(cell);

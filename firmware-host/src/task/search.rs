@@ -1,4 +1,4 @@
-//! Search for the hole: a part that is stopped at the rim is lifted, shifted a little, and lowered again.
+//! Searches for the hole: a part stopped at the rim is lifted, shifted a little, and lowered again.
 
 use super::cell::Cell;
 use super::error::Halt;
@@ -9,11 +9,11 @@ use super::retreat::retreat;
 use crate::report::{Outcome, Stage};
 use gelstereo_core::math::{Pose, cos, sin, sqrt};
 
-/// Standard deviations of the tip's place that the search covers.
+/// Standard deviations of the tip position that the search covers.
 const REACH_SIGMAS: f64 = 3.0;
 
-/// Inserts from `above` and leaves the hole. Where the part jams, tries on rings around it, `task.max_tries`
-/// times in all.
+/// Inserts from `above` and leaves the hole. If the part jams, it retries on rings around `above`, up to
+/// `task.max_tries` tries in all.
 pub(super) fn insert_by_search(cell: &mut Cell, above: &Pose, held: &Held) -> Result<Outcome, Halt> {
     let mut outcome = try_at(cell, above, held)?;
     let task = &cell.config.task;
@@ -37,7 +37,7 @@ pub(super) fn insert_by_search(cell: &mut Cell, above: &Pose, held: &Held) -> Re
     Ok(outcome)
 }
 
-/// Inserts once, and leaves the hole: a part that jams goes back to where it came from.
+/// Inserts once and leaves the hole; a part that jams returns to its start.
 fn try_at(cell: &mut Cell, above: &Pose, held: &Held) -> Result<Outcome, Halt> {
     let outcome = insert(cell, above, held)?;
     retreat(cell, above, &outcome)?;
@@ -50,8 +50,8 @@ struct Step {
     y_mm: f64,
 }
 
-/// Places on hexagonal rings around the middle, the near rings first. A hole takes a part that is off by half
-/// the clearance: neighbours are √3 of that apart, as the centres of circles that cover the plane are.
+/// Positions on hexagonal rings, nearest ring first. A hole accepts an offset of half the clearance.
+/// Neighbours are √3 times that apart, like the centres of circles that cover the plane.
 fn rings(clearance_mm: f64, reach_mm: f64) -> impl Iterator<Item = Step> {
     let radius_mm = 0.5 * clearance_mm;
     let apart_mm = sqrt(3.0) * radius_mm;

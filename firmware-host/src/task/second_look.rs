@@ -1,8 +1,7 @@
-//! Look again at a part that one grasp does not tell well enough.
+//! Further looks at a part whose pose one grasp does not determine well enough.
 //!
-//! The next look is chosen by what is unknown: of a second grasp of the standing part, the hand turned or
-//! not, and of the touches of known faces with the part in the hand, the one after which the chance of
-//! insertion is the highest.
+//! Candidates are a second grasp of the standing part, with or without a turn of the hand, and touches of
+//! known faces with the held part. The look with the highest expected chance of insertion is chosen.
 
 use super::belief::Belief;
 use super::cell::Cell;
@@ -20,7 +19,7 @@ enum NextLook {
     Touch(Box<TouchPlan>),
 }
 
-/// Looks until the chance of insertion is high enough, `task.max_looks` times at most. Without
+/// Looks until the chance of insertion is high enough, at most `task.max_looks` times. Without
 /// `task.clearance_mm` one look is enough.
 pub(super) fn look_until_known(cell: &mut Cell, first: Held) -> Result<Localization, Halt> {
     let task = &cell.config.task;
@@ -57,10 +56,10 @@ pub(super) fn look_until_known(cell: &mut Cell, first: Held) -> Result<Localizat
     }
 }
 
-/// The look after which the chance is the highest, of those that are possible.
+/// Chooses the possible look with the highest expected chance.
 ///
-/// A part that left its holder cannot be grasped again. A touch of a standing part is chosen for its own sake if it is
-/// enough; otherwise each look is valued by the best touch that may follow it.
+/// A part that left its holder cannot be grasped again. If a touch of a standing part suffices, its own
+/// chance counts. Otherwise each look is valued by the best touch that may follow it.
 fn choose(cell: &Cell, flank: &Flank, held: &Held, t_base_gripper: &Pose, left: u32) -> Option<NextLook> {
     if left == 0 {
         return None;

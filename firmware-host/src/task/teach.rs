@@ -1,4 +1,4 @@
-//! Teach the goal: grasp the part where somebody placed it, and localize it there (section V-A).
+//! Teaches the goal: grasps the placed part and localizes it there (section V-A).
 
 use super::cell::Cell;
 use super::error::Halt;
@@ -12,13 +12,13 @@ use crate::taught::{Taught, VERSION};
 use gelstereo_core::frames::adjusted_gripper;
 use gelstereo_core::math::Pose;
 
-/// A part that was localized in its goal.
+/// A part that was localized at its goal.
 pub(super) struct Lesson {
     pub(super) taught: Taught,
     pub(super) held: Held,
 }
 
-/// Comes down around the part in its goal, or stays where the robot is, and localizes the part.
+/// Moves down around the part at its goal, or stays in place, and localizes the part.
 pub(super) fn teach(cell: &mut Cell, stay: bool) -> Result<Result<Lesson, Outcome>, Halt> {
     let around = adjusted_gripper(&cell.goal, &cell.config.expected_t_gripper_object());
     if stay {

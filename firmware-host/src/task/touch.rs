@@ -1,8 +1,8 @@
-//! Bring the part in the hand to a face of the cell, and learn from it where the part is.
+//! Touches a face of the cell with the held part, to measure the part's position.
 //!
-//! The hand carries the part before the face and moves it slowly towards it. What the face holds back drags
-//! the gel; the insertion trigger stops the robot, and the part goes back. The place where the motion began
-//! is one linear constraint on the part's pose, which is fused with what was known.
+//! The hand carries the part in front of the face and moves it slowly towards it. The face's resistance
+//! drags the gel; the insertion trigger stops the robot, and the part goes back. The position where the
+//! motion began gives one linear constraint on the part's pose, which is fused with the belief.
 
 use super::belief::{FusedBelief, expected_anyway};
 use super::cell::{Cell, Trigger};
@@ -17,10 +17,10 @@ use crate::report::{Outcome, Stage};
 use crate::sensing::Action;
 use gelstereo_core::math::{DVec3, Pose};
 
-/// 99.9 % of chi-squared with one degree of freedom.
+/// 99.9 % quantile of chi-squared with one degree of freedom.
 const MAX_SQUARED_DISTANCE: f64 = 10.828;
 
-/// Touches the face by the plan, and fuses that with what was known of the part.
+/// Touches the face by the plan, and fuses the result with the belief.
 pub(super) fn touch(cell: &mut Cell, mut held: Held, plan: &TouchPlan) -> Result<Localization, Halt> {
     cell.log.begin(Stage::Touch);
     carry(cell, &plan.start)?;
@@ -40,7 +40,7 @@ pub(super) fn touch(cell: &mut Cell, mut held: Held, plan: &TouchPlan) -> Result
     fuse(cell, held, plan, &found)
 }
 
-/// Lifts the part and carries it over to a pose of the hand.
+/// Lifts the part and carries it to a pose of the hand.
 fn carry(cell: &mut Cell, to: &Pose) -> Result<(), Halt> {
     let task = &cell.config.task;
     let lift = Pose::from_translation_mm(DVec3::Z * task.lift_mm);
@@ -51,7 +51,7 @@ fn carry(cell: &mut Cell, to: &Pose) -> Result<(), Halt> {
     Ok(())
 }
 
-/// Moves the part slowly until the trigger; returns where it first touched, if the move was quiet at first.
+/// Moves the part slowly until the trigger; returns the first touch, if the move started quietly.
 fn feel(cell: &mut Cell, plan: &TouchPlan) -> Result<Option<Onset>, Halt> {
     cell.act(&Action::MarkReference)?;
     let edge = plan.touched.edge;
@@ -76,7 +76,7 @@ fn feel(cell: &mut Cell, plan: &TouchPlan) -> Result<Option<Onset>, Halt> {
     Ok(onset(&samples))
 }
 
-/// Fuses the place of the touch with what was known, and reports both.
+/// Fuses the position of the touch with the belief, and reports both.
 fn fuse(cell: &mut Cell, mut held: Held, plan: &TouchPlan, found: &Onset) -> Result<Localization, Halt> {
     let task = &cell.config.task;
     let before = held.belief.map(|known| expected_anyway(known, task.part_sigma_rad, task.part_sigma_mm));

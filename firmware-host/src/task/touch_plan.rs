@@ -1,4 +1,4 @@
-//! Which faces of the cell the part in the hand can be brought to, and what that would tell.
+//! Plans touches: faces of the cell that the held part can reach, and their expected information.
 
 use super::belief::Belief;
 use super::cell::Cell;
@@ -9,32 +9,32 @@ use crate::config::EdgeConfig;
 use gelstereo_core::math::{DVec3, Pose, atan2, sqrt};
 use gelstereo_core::register::{FusionError, PlaneContact, PoseEstimate};
 
-/// A side that meets the face at a larger angle than this is not brought to it: its corner would touch.
+/// Largest angle between a side and the face; beyond it the side's corner would touch.
 const MAX_ASKEW_RAD: f64 = 0.2;
-/// Standard deviations of the touching point's place that the slow move covers to either side.
+/// Standard deviations of the touching point's position covered by the slow move on either side.
 const REACH_SIGMAS: f64 = 4.0;
 
-/// A touch, and the chance of insertion that is expected after it.
+/// A touch, and the chance of insertion expected after it.
 pub(super) struct TouchPlan {
     pub(super) touched: TouchedSide,
     /// The face.
     pub(super) edge: EdgeConfig,
-    /// The hand where the slow move begins, base frame.
+    /// Pose of the hand at the start of the slow move, base frame.
     pub(super) start: Pose,
     /// Unit direction of the slow move, base frame.
     pub(super) way: DVec3,
-    /// How far it goes where nothing stops it; the face is expected in its middle.
+    /// Travel of the move if nothing stops it; the face is expected at its middle.
     pub(super) max_travel_mm: f64,
     /// Points of the part that may touch, part frame.
     pub(super) points_mm: Vec<DVec3>,
     pub(super) chance: f64,
-    /// What is known of the part then, gripper frame.
+    /// Expected belief afterwards, gripper frame.
     pub(super) expected: Belief,
 }
 
 impl TouchPlan {
-    /// The constraint on a pose in the gripper frame, if the part touched when the hand had gone so far
-    /// from the start. It is a plane of the gripper frame: the hand turns no more on the way.
+    /// Constraint on a pose in the gripper frame, if the part touched after this travel from the start.
+    /// It is a plane in the gripper frame, because the hand does not turn during the move.
     pub(super) fn contact(
         &self,
         cell: &Cell,
@@ -65,7 +65,7 @@ impl TouchPlan {
     }
 }
 
-/// The touches that are possible and were not made yet.
+/// Plans all possible touches that were not made yet.
 pub(super) fn touch_plans(cell: &Cell, flank: &Flank, held: &Held, t_base_gripper: &Pose) -> Vec<TouchPlan> {
     let edges = cell.config.task.edges.iter().enumerate();
     edges
@@ -81,7 +81,7 @@ pub(super) fn touch_plans(cell: &Cell, flank: &Flank, held: &Held, t_base_grippe
         .collect()
 }
 
-/// A plan with the hand's pose, but without its chance; none where the hand would have to lean.
+/// A plan with the hand's pose, without its chance; `None` where the hand would have to lean.
 fn posed(
     cell: &Cell,
     flank: &Flank,
@@ -129,21 +129,21 @@ fn posed(
 /// The turn about the vertical that brings one direction nearest to another.
 fn turn_about_z(from: DVec3, to: DVec3) -> Pose {
     let (cross, dot) = (from.x * to.y - from.y * to.x, from.x * to.x + from.y * to.y);
-    // Of upright directions the rest across the vertical says nothing.
+    // For vertical directions the small horizontal component is meaningless.
     let angle = if from.truncate().length() * to.truncate().length() > 0.1 { atan2(cross, dot) } else { 0.0 };
     Pose::exp(DVec3::Z * angle, DVec3::ZERO)
 }
 
-/// What is known after a touch where it is expected. The line's own uncertainty is left out: it is known only
-/// afterwards.
+/// Belief after a touch at the expected position. The uncertainty of the line fit is omitted: it is known
+/// only afterwards.
 fn expected_belief(cell: &Cell, held: &Held, plan: &TouchPlan) -> Result<Belief, FusionError> {
     let known = Belief::alone(*held.belief.likeliest());
     let half_mm = 0.5 * plan.max_travel_mm;
     Ok(known.touching(|estimate| plan.contact(cell, estimate, half_mm, 0.0))?.belief)
 }
 
-/// The robot's position is that of up to a period before or after the image: ± the way between two frames,
-/// any of it alike.
+/// The robot's position may date from up to one frame period before or after the image. Its error is
+/// uniform within ± the travel between two frames.
 fn frame_way_sigma_mm(cell: &Cell, edge: &EdgeConfig) -> f64 {
     let config = cell.config;
     let period_s = 1.0 / config.source.frame_rate_hz(config.simulated.frame_rate_hz);

@@ -1,9 +1,8 @@
-//! Which point of a part touches a face that it is brought to.
+//! Determines which point of a part touches a face.
 //!
-//! The part's foremost point depends on how it leans, which is known to some extent alone. The mean of the
-//! foremost points of the poses that are believed is the best linear description of the foremost distance
-//! (Stein's lemma: the mean gradient of a function of normal variables is its regression); what the line
-//! leaves is noise.
+//! The part's foremost point depends on its lean, which is uncertain. The mean of the foremost points
+//! over poses drawn from the belief is the best linear description of the foremost distance. (Stein's
+//! lemma: the mean gradient of a function of normal variables is its regression.) The remainder is noise.
 
 use super::chance::joined;
 use gelstereo_core::math::linalg::eigen;
@@ -11,25 +10,25 @@ use gelstereo_core::math::random::Stream;
 use gelstereo_core::math::{DVec3, sqrt};
 use gelstereo_core::register::PoseEstimate;
 
-/// Poses drawn: the residual's standard deviation is then known to 3 %.
+/// Number of poses drawn; the residual's standard deviation is then known to 3 %.
 const DRAWS: u32 = 512;
 
-/// The touching point and what it leaves open.
+/// The touching point and its residual uncertainty.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct TouchPoint {
     /// Part frame.
     pub(super) point_mm: DVec3,
-    /// By how much the foremost point is before this one in the mean.
+    /// Mean distance of the foremost point ahead of this one.
     pub(super) ahead_mm: f64,
-    /// Standard deviation of that.
+    /// Standard deviation of that distance.
     pub(super) residual_sigma_mm: f64,
-    /// Standard deviation of the foremost point's place along the way.
+    /// Standard deviation of the foremost point's position along the way.
     pub(super) place_sigma_mm: f64,
 }
 
-/// Of a part that may touch with these points of its own frame, and is moved along the unit direction `way`
-/// of the outer frame. `sigma_rad` and `sigma_mm` are what is known of the part without sensing. There is
-/// at least one point.
+/// Touching point of a part with these candidate points (part frame, at least one), moved along the unit
+/// direction `way` of the outer frame. `sigma_rad` and `sigma_mm` are the prior standard deviations of
+/// its pose.
 pub(super) fn touch_point(
     points_mm: &[DVec3],
     known: &PoseEstimate,
@@ -93,7 +92,7 @@ mod tests {
     use gelstereo_core::math::Pose;
     use gelstereo_core::math::linalg::Symmetric;
 
-    /// Upper and lower end of a flat side 15 mm from the part's middle.
+    /// Upper and lower end of a flat side 15 mm from the part's centre.
     const ENDS: [DVec3; 2] = [DVec3::new(0.0, 15.0, -5.0), DVec3::new(0.0, 15.0, 5.0)];
 
     fn known(lean_sigma: f64, place_sigma_mm: f64) -> PoseEstimate {
@@ -104,7 +103,7 @@ mod tests {
         PoseEstimate { pose: Pose::IDENTITY, information }
     }
 
-    /// The higher of ±5 mm times a lean: its mean is 5 σ √(2 / π), its deviation 5 σ √(1 - 2 / π).
+    /// Maximum of ±5 mm times a lean: mean 5 σ √(2 / π), standard deviation 5 σ √(1 - 2 / π).
     #[test]
     fn a_side_that_may_lean_either_way_touches_in_its_middle_with_a_residual() {
         let lean = 0.01;

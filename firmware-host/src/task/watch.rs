@@ -1,4 +1,4 @@
-//! How long the camera may be silent, and how late a result may be, while something moves.
+//! Limits on camera silence and on the lateness of results while something moves.
 
 use super::TaskError;
 use crate::config::{Config, TaskConfig};
@@ -8,9 +8,9 @@ use std::time::Duration;
 /// Whether a trigger ends a move.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Guard {
-    /// Yes: what is touched meanwhile is felt by the camera alone.
+    /// Yes: only the camera detects contact meanwhile.
     Triggered,
-    /// No: the way is known to be free.
+    /// No: the path is known to be free.
     Free,
 }
 
@@ -23,12 +23,12 @@ impl Guard {
     }
 }
 
-/// The limits of the present moment.
+/// The limits in force.
 pub(super) struct Watch {
     at_rest: Duration,
     /// While something moves.
     moving: Option<Duration>,
-    /// From an image to its result; none for sources that wait for the task.
+    /// From an image to its result; `None` for sources that wait for the task.
     max_late: Option<Duration>,
     is_live: bool,
 }
@@ -46,11 +46,11 @@ impl Watch {
         }
     }
 
-    /// Something begins to move at this speed. Without images it may go on for `task.max_blind_travel_mm`, or
-    /// `task.max_blind_free_travel_mm` where the way is free.
+    /// Something starts to move at this speed. Without images it may travel `task.max_blind_travel_mm`,
+    /// or `task.max_blind_free_travel_mm` on a free path.
     pub(super) fn moves(&mut self, task: &TaskConfig, guard: Guard, speed_mm_s: f64) {
         let limit = Duration::from_secs_f64(guard.max_blind_mm(task) / speed_mm_s).min(self.at_rest);
-        // Of two moves at a time the stricter limit holds.
+        // The stricter limit holds for two simultaneous moves.
         self.moving = Some(self.moving.map_or(limit, |other| other.min(limit)));
     }
 
@@ -63,12 +63,12 @@ impl Watch {
         self.moving.is_some()
     }
 
-    /// How long the next stereo pair may take. A source that waits for the task is never silent.
+    /// Longest wait for the next stereo pair. A source that waits for the task is never silent.
     pub(super) fn patience(&self) -> Duration {
         self.moving.filter(|_| self.is_live).unwrap_or(self.at_rest)
     }
 
-    /// Whether a result came in time for what moves.
+    /// Checks whether a result came in time for the present motion.
     pub(super) fn check_result(&self, stage: Stage, took: Duration) -> Result<(), TaskError> {
         match self.max_late {
             Some(limit) if self.moving() && took > limit => Err(TaskError::Late { stage, took, limit }),

@@ -1,9 +1,9 @@
 //! A peg in its holder, the simulated sensor, a hole, and the faces of the cell that a part may touch.
 //!
-//! The peg stands loosely in its holder until the robot moves with the peg between the fingers: a finger
-//! that touches it alone pushes it along, and two that yield alike press it from both sides alike. From
-//! then on it is rigid in the hand, but for the gel: what holds the peg back while the hand moves on, a
-//! hole or a face, drags the gel's surface along.
+//! The peg stands loosely in its holder until the robot moves with the peg between the fingers. Until
+//! then a single touching finger pushes it along, and two equally soft fingers centre it. From then on it
+//! is rigid in the hand except for the gel: if a hole or a face holds the peg back while the hand moves
+//! on, the gel's surface is dragged along.
 
 use super::fixture::Fixture;
 use super::hole::{Fit, Hole, Mouth};
@@ -15,7 +15,7 @@ use gelstereo_core::math::random::Stream;
 use gelstereo_core::math::{DVec3, Pose, so3};
 use gelstereo_sim::{ContactState, Scene, Shape, Simulator, Truth};
 
-/// Where the peg is held.
+/// What holds the peg.
 #[derive(Clone, Copy, Debug)]
 enum Hold {
     Holder {
@@ -24,32 +24,32 @@ enum Hold {
     Hand {
         t_gripper_object: Pose,
     },
-    /// Somebody placed it in the hole, which holds it.
+    /// It was placed in the hole, which holds it.
     Hole {
         t_base_object: Pose,
     },
-    /// Let go: it stays where it is, and was held so before.
+    /// Released: it stays in place; its previous pose in the hand is kept.
     Released {
         t_base_object: Pose,
         t_gripper_object: Pose,
     },
 }
 
-/// Where the part is at the beginning.
+/// Initial place of the part.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Place {
-    /// Loosely in its holder, somewhere near where the task expects it.
+    /// Loosely in its holder, near its expected pose.
     Holder,
-    /// In the hole, anywhere within its clearance.
+    /// In the hole, anywhere within the clearance.
     Goal,
 }
 
-/// A rectangular hole of which no size is given is so much wider than the part.
+/// Clearance of a rectangular hole whose size is not configured.
 const CLEARANCE_MM: f64 = 0.2;
-/// The gripper stalls when the gel is pressed to this share of its thickness.
+/// Indentation at which the gripper stalls, as a fraction of the gel thickness.
 const STALL_SHARE: f64 = 0.75;
 
-/// What the simulated hand works at.
+/// Simulated environment of the hand.
 #[derive(Debug)]
 pub struct Bench {
     simulator: Simulator,
@@ -59,29 +59,29 @@ pub struct Bench {
     fixtures: Vec<Fixture>,
     stall_mm: f64,
     hold: Hold,
-    /// Where the part's origin was in the sensor frame when it first touched the gel.
+    /// Position of the part's origin in the sensor frame at the first contact with the gel.
     touch_mm: Option<DVec3>,
     deepest_mm: f64,
-    /// The fit when the hand was farthest into the hole.
+    /// The fit at the deepest position of the hand in the hole.
     deepest_fit: Option<Fit>,
     truth: Truth,
 }
 
-/// What a simulated job can be judged by.
+/// Ground truth for judging a simulated job.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BenchTruth {
-    /// Part in the gripper, as it was grasped.
+    /// Part in the gripper as grasped.
     pub t_gripper_object: Pose,
-    /// Peg against hole when the hand was farthest into it, as if nothing held the peg back.
+    /// Peg relative to the hole at the deepest position of the hand, as if nothing held the peg back.
     pub fit: Fit,
-    /// How deep the peg got into the hole at most; negative when it never reached the rim.
+    /// Largest depth of the peg in the hole; negative if it never reached the rim.
     pub deepest_mm: f64,
     /// Half the peg's length.
     pub half_length_mm: f64,
 }
 
 impl Bench {
-    /// With the peg at its place.
+    /// Bench with the peg at its initial place.
     ///
     /// # Errors
     /// [`WorldError`].
@@ -122,20 +122,20 @@ impl Bench {
         })
     }
 
-    /// Takes a picture; `frame` keys its noise.
+    /// Renders a stereo pair; `frame` seeds its noise.
     pub fn expose(&mut self, hand: &Hand, frame: u64, pair: &mut StereoPair) {
         self.push(hand);
         self.release(hand);
         let (t_base_object, fit) = self.t_base_object(hand);
         let t_sensor_object = (hand.t_base_gripper * hand.t_gripper_sensor).inverse() * t_base_object;
-        // The part sticks to where it first touched.
+        // The part sticks to the gel at its first contact.
         let dragged_mm = self.touch_mm.map_or(DVec3::ZERO, |touch| t_sensor_object.translation_mm - touch);
         let shear_mm = [dragged_mm.x, dragged_mm.y];
         let contact = ContactState { t_sensor_object, shear_mm, twist_rad: 0.0 };
         self.simulator.truth(Some(&contact), &mut self.truth);
         match (self.touch_mm, self.truth.in_contact.contains(&true)) {
             (None, true) => self.touch_mm = Some(t_sensor_object.translation_mm),
-            // Fingers that open leave a peg where it stands.
+            // Opening fingers leave a peg in place.
             (Some(_), false) if matches!(self.hold, Hold::Holder { .. }) => self.touch_mm = None,
             _ => {}
         }
@@ -151,20 +151,20 @@ impl Bench {
         self.simulator.render(&self.truth, frame, &mut pair.left.pixels, &mut pair.right.pixels);
     }
 
-    /// Whether the gel is pressed so far that the gripper gives up.
+    /// Whether the gel is pressed so far that the gripper stalls.
     #[must_use]
     pub fn stalls(&self) -> bool {
         self.truth.indentation_mm.iter().any(|&h| h > self.stall_mm)
     }
 
-    /// The robot starts to move: what is between the fingers comes along.
+    /// The robot starts to move and takes along the part between the fingers.
     pub fn depart(&mut self, t_base_gripper: &Pose) {
         if let (Hold::Holder { t_base_object }, Some(_)) = (self.hold, self.touch_mm) {
             self.hold = Hold::Hand { t_gripper_object: t_base_gripper.inverse() * t_base_object };
         }
     }
 
-    /// What is really there.
+    /// The ground truth.
     #[must_use]
     pub fn truth(&self, hand: &Hand) -> BenchTruth {
         BenchTruth {
@@ -180,8 +180,7 @@ impl Bench {
         }
     }
 
-    /// The fingers push a peg that stands in its holder along the closing direction, until both press it
-    /// alike.
+    /// The fingers push a peg in its holder along the closing direction, until it is centred between them.
     fn push(&mut self, hand: &Hand) {
         let Hold::Holder { t_base_object } = &mut self.hold else { return };
         let closing = hand.t_base_gripper.transform_vector(DVec3::X);
@@ -192,7 +191,7 @@ impl Bench {
         *t_base_object = Pose::from_translation_mm(shift_mm) * *t_base_object;
     }
 
-    /// Fingers that no longer reach the peg leave it where it is.
+    /// Releases the peg in place once the fingers no longer reach it.
     fn release(&mut self, hand: &Hand) {
         let Hold::Hand { t_gripper_object } = self.hold else { return };
         let half_mm = self.peg.half_width_mm(t_gripper_object.inverse().transform_vector(DVec3::X));
@@ -213,7 +212,7 @@ impl Bench {
         }
     }
 
-    /// Part in the base frame: a peg in the hand goes no deeper than the hole lets it, and not behind a face.
+    /// Part in the base frame: the hole limits the depth of a held peg, and faces block it.
     fn t_base_object(&self, hand: &Hand) -> (Pose, Fit) {
         let free = self.t_base_object_free(hand);
         let fit = self.hole.fit(&self.peg, &free);
@@ -230,7 +229,7 @@ impl Bench {
     }
 }
 
-/// The hole's outline: that of the peg, with its walls along the part's sides at the goal.
+/// The hole's outline: the peg's section, with walls along the part's sides at the goal.
 fn mouth(config: &Config, peg: &Peg) -> Mouth {
     let simulated = &config.simulated;
     match peg.section {
@@ -249,7 +248,7 @@ fn mouth(config: &Config, peg: &Peg) -> Mouth {
     }
 }
 
-/// Where the part really stands: off by a random offset, tilt and spin.
+/// True pose of the part in its holder: a random offset, tilt and spin from the expected pose.
 fn misplaced(config: &Config, peg: &Peg) -> Pose {
     let simulated = &config.simulated;
     let mut stream = Stream::new(simulated.seed, "part in its holder");
@@ -257,17 +256,16 @@ fn misplaced(config: &Config, peg: &Peg) -> Pose {
     let mut vector = |most: f64| DVec3::new(within(most), within(most), within(most));
     let offset_mm = vector(simulated.offset_mm);
     let tilt = vector(simulated.tilt_rad);
-    // The holder of a part with corners holds these too: the tilt has its spin.
+    // A holder also fixes the spin of a part with corners; only the tilt vector contributes some.
     let spin = config.insertion_axis() * within(if peg.is_round() { core::f64::consts::PI } else { 0.0 });
     let off = Pose { rotation: so3::exp(tilt) * so3::exp(spin), translation_mm: offset_mm };
     config.task.part_pose.pose() * off
 }
 
-/// Poses that are tried within the clearance; one of ten fits.
+/// Number of poses tried within the clearance; about one in ten fits.
 const MAX_TRIES: usize = 1000;
 
-/// Where somebody placed the part in the hole: at the bottom, with any offset and tilt that the clearance
-/// allows.
+/// Pose of a part placed in the hole: at the bottom, with a random offset and tilt within the clearance.
 fn placed(config: &Config, hole: &Hole, peg: &Peg) -> Pose {
     let goal = config.task.goal_pose.pose();
     let Room { room_mm, spin_rad } = room(&hole.mouth, peg);
@@ -278,7 +276,7 @@ fn placed(config: &Config, hole: &Hole, peg: &Peg) -> Pose {
         let offset_mm = DVec3::new(within(room_mm), within(room_mm), 0.0);
         let spin = peg.axis * within(spin_rad);
         let turn = so3::exp(tilt) * so3::exp(spin);
-        // The tip stays at the bottom and is offset; the rest of the part leans.
+        // The tip is offset at the bottom; the rest of the part leans.
         let tip_mm = peg.axis * peg.half_length_mm;
         goal * Pose { rotation: turn, translation_mm: tip_mm + offset_mm - turn * tip_mm }
     });
@@ -286,7 +284,7 @@ fn placed(config: &Config, hole: &Hole, peg: &Peg) -> Pose {
     candidates.into_iter().find(fits).unwrap_or(goal)
 }
 
-/// How far a part can be off in its hole.
+/// Largest deviation of a part in its hole.
 struct Room {
     /// To each side.
     room_mm: f64,

@@ -1,4 +1,4 @@
-//! The world as the job sees it: a camera, a gripper and a robot.
+//! Devices of the simulated world: a camera, a gripper and a robot.
 
 use super::World;
 use crate::gripper::{Gripper, GripperError, GripperStatus};
@@ -9,7 +9,7 @@ use std::cell::RefCell;
 use std::rc::Rc;
 use std::time::Duration;
 
-/// The simulated sensor; it waits for nothing and never ends.
+/// The simulated sensor; it never waits or ends.
 #[derive(Clone, Debug)]
 pub struct SimulatedCamera(pub Rc<RefCell<World>>);
 
@@ -21,11 +21,11 @@ impl FrameSource for SimulatedCamera {
     }
 }
 
-/// Real images in a simulated world: its time passes by their frames.
+/// Real images in a simulated world; each frame advances its time.
 pub struct PacedSource {
-    /// Where the images come from.
+    /// Source of the images.
     pub source: Box<dyn FrameSource>,
-    /// Whose time passes.
+    /// The world that is advanced.
     pub world: Rc<RefCell<World>>,
 }
 
@@ -43,21 +43,21 @@ impl FrameSource for PacedSource {
     }
 }
 
-/// Longest time that passes in the simulated world between two pairs: after an interruption of the camera
-/// gripper and robot go on from where they were.
+/// Longest step of the simulated world between two pairs: after a camera interruption, gripper and robot
+/// continue from where they were.
 const MAX_STEP_NS: u64 = 1_000_000_000;
 
-/// Images of a real camera in a simulated world: its time passes by their timestamps.
+/// Images of a real camera in a simulated world; their timestamps advance its time.
 pub struct TimedSource {
     source: Box<dyn FrameSource>,
     world: Rc<RefCell<World>>,
     last_ns: Option<u64>,
-    /// Time that is less than a period of the world's.
+    /// Remainder of time below one period of the world.
     rest_ns: u64,
 }
 
 impl TimedSource {
-    /// Pairs of `source`, by whose timestamps the time of `world` passes.
+    /// Pairs of `source`, whose timestamps advance `world`.
     #[must_use]
     pub fn new(source: Box<dyn FrameSource>, world: Rc<RefCell<World>>) -> Self {
         Self { source, world, last_ns: None, rest_ns: 0 }

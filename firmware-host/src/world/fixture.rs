@@ -1,13 +1,13 @@
-//! A face of the cell that a part in the hand may be brought to: a square, with a solid block behind it.
+//! A square face of the cell that a held part may touch, with a solid block behind it.
 
 use super::peg::Peg;
 use crate::config::EdgeConfig;
 use gelstereo_core::math::{DVec3, Pose};
 
-/// The block; it is as thick as its face is wide.
+/// The block; its thickness equals the width of its face.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Fixture {
-    /// Middle of the face, base frame.
+    /// Centre of the face, base frame.
     pub middle_mm: DVec3,
     /// Unit direction out of the block, base frame.
     pub normal: DVec3,
@@ -18,7 +18,7 @@ pub struct Fixture {
 }
 
 impl Fixture {
-    /// The face as it is configured, moved by `offset_mm` along its normal.
+    /// The face as configured, moved by `offset_mm` along its normal.
     #[must_use]
     pub fn of(edge: &EdgeConfig, offset_mm: f64) -> Self {
         let normal = edge.unit_normal();
@@ -26,9 +26,9 @@ impl Fixture {
         Self { middle_mm, normal, sides: edge.sides(), size_mm: edge.size_mm }
     }
 
-    /// How far the part is behind the face; 0 where it does not reach it. The extreme points of a prism
-    /// before a face are on the prism's long edges: the face is to be larger than the side of the part that
-    /// touches it.
+    /// Depth of the part behind the face; 0 where it does not reach it. Only the prism's long edges are
+    /// tested, because its extreme points in front of a face lie on them. The face must therefore be
+    /// larger than the side of the part that touches it.
     #[must_use]
     pub fn penetration_mm(&self, peg: &Peg, t_base_object: &Pose) -> f64 {
         let length_mm = peg.axis * (2.0 * peg.half_length_mm);
@@ -44,8 +44,8 @@ impl Fixture {
         if deepest < self.size_mm { deepest } else { 0.0 }
     }
 
-    /// Depth of a line, given from the face's middle, where it lies before the face; none if it lies beside
-    /// it.
+    /// Largest depth of a line, given relative to the face's centre, within the face's outline; `None` if
+    /// the line misses it.
     fn deepest_of_line(&self, from: DVec3, to: DVec3) -> Option<f64> {
         let (mut begin, mut end) = (0.0_f64, 1.0_f64);
         for side in self.sides {
@@ -70,7 +70,7 @@ mod tests {
     use gelstereo_core::math::so3;
     use gelstereo_sim::Shape;
 
-    /// Its face stands at y = 0, looks along -y, and reaches from z = -10 to 10 mm.
+    /// The face is at y = 0, faces -y, and extends from z = -10 to 10 mm.
     const WALL: Fixture =
         Fixture { middle_mm: DVec3::ZERO, normal: DVec3::NEG_Y, sides: [DVec3::X, DVec3::Z], size_mm: 20.0 };
 
@@ -96,7 +96,7 @@ mod tests {
         }
     }
 
-    /// A part that leans towards the wall touches the top edge of the block, 10 mm above its tip; one that
+    /// A part that leans towards the wall touches the block's top edge, 10 mm above its tip; one that
     /// leans away touches with its tip.
     #[test]
     fn a_part_that_leans_touches_with_its_tip_or_at_the_top_edge() {

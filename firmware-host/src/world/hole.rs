@@ -1,4 +1,4 @@
-//! A peg and a hole of its own cross-section without chamfer, both rigid.
+//! A peg and a hole of the same cross-section without chamfer, both rigid.
 
 use super::peg::{Peg, Section};
 use gelstereo_core::math::{DVec3, Pose, sqrt};
@@ -13,9 +13,9 @@ pub enum Mouth {
     },
     /// Two pairs of parallel walls.
     Rectangle {
-        /// Unit normals of the pairs, base frame.
+        /// Unit normals of the wall pairs, base frame.
         normals: [DVec3; 2],
-        /// Distance of each pair's walls.
+        /// Distance between the walls of each pair.
         size_mm: [f64; 2],
     },
 }
@@ -23,32 +23,33 @@ pub enum Mouth {
 /// A hole.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hole {
-    /// Middle of its rim, base frame.
+    /// Centre of its rim, base frame.
     pub rim_mm: DVec3,
     /// Unit direction into it, base frame.
     pub inwards: DVec3,
-    /// Its outline.
+    /// Outline of the hole.
     pub mouth: Mouth,
     /// Depth of its bottom below the rim.
     pub depth_mm: f64,
 }
 
-/// How a peg stands to a hole.
+/// Position of a peg relative to a hole.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Fit {
-    /// How far the tip is below the rim; negative above it.
+    /// Depth of the tip below the rim; negative above it.
     pub depth_mm: f64,
-    /// How far it can go in this posture: 0 when it meets the rim, less than the hole's depth when it wedges.
+    /// Depth that it can reach in this posture: 0 if it meets the rim, less than the hole's depth if it
+    /// wedges.
     pub limit_mm: f64,
-    /// Distance of the middle of the tip from the hole's axis.
+    /// Distance of the tip's centre from the hole's axis.
     pub lateral_mm: f64,
     /// Angle between the axes.
     pub tilt_rad: f64,
 }
 
 impl Hole {
-    /// Where the peg is, and how far it can go along the hole's axis without turning or shifting. It fits
-    /// while both the tip and the section at the rim stay within the hole.
+    /// Position of the peg, and the depth that it can reach along the hole's axis without turning or
+    /// shifting. It fits while both the tip and the section at the rim stay within the hole.
     #[must_use]
     pub fn fit(&self, peg: &Peg, t_base_object: &Pose) -> Fit {
         let axis = t_base_object.transform_vector(peg.axis);
@@ -65,7 +66,7 @@ impl Hole {
                 peg.tip_corners_mm().into_iter().map(from_rim).collect()
             }
         };
-        // The lowest point of the tip's edge is what meets the bottom.
+        // The lowest point of the tip's edge meets the bottom.
         let depth_mm = match peg.section {
             Section::Round { radius_mm } => tip.dot(self.inwards) + radius_mm * sine,
             Section::Rectangle { .. } => {
@@ -88,23 +89,22 @@ impl Hole {
                 let all = walls.map(|walls| walls.limit_mm(&corners, slope, self.inwards, depth_mm));
                 all.fold(f64::INFINITY, f64::min)
             }
-            // The world has holes of the part's own section alone.
+            // Holes of another section than the part's do not occur.
             _ => 0.0,
         };
         fit(limit_mm.min(self.depth_mm))
     }
 }
 
-/// Two parallel walls, about the hole's axis.
+/// Two parallel walls, symmetric about the hole's axis.
 struct Walls {
     normal: DVec3,
     half_mm: f64,
 }
 
 impl Walls {
-    /// Depth of the tip's lowest corner at which a prism leaves the room between the walls. Where the
-    /// corner q is h below the rim, the long edge from it passes the rim at q - h t, with t the tilt's
-    /// tangent.
+    /// Depth of the tip's lowest corner at which a prism meets the walls. Where the corner q is h below
+    /// the rim, its long edge passes the rim at q - h t, with t the tilt's tangent.
     fn limit_mm(&self, corners: &[DVec3], slope: DVec3, inwards: DVec3, lowest_mm: f64) -> f64 {
         let leaves = corners.iter().map(|corner| {
             let (at, along) = (self.normal.dot(*corner), self.normal.dot(slope));
@@ -118,14 +118,14 @@ impl Walls {
     }
 }
 
-/// Largest h with |e - h t| <= room, given |e| <= room, along one line.
+/// Largest h with |e - h t| <= room, given |e| <= room, in one dimension.
 fn leaves_walls(e: f64, t: f64, room: f64) -> f64 {
     if t == 0.0 { f64::INFINITY } else { (e + room * t.signum()) / t }
 }
 
 /// Largest h with |e - h t| <= room, given |e| <= room. At depth h the axis of a round peg passes the rim
-/// at e - h t from the hole's axis, with e the tip's offset and t the tilt's tangent; its section there is
-/// an ellipse of half width r / cos(tilt).
+/// at e - h t from the hole's axis, with e the tip's offset and t the tilt's tangent. Its section there
+/// is an ellipse of half width r / cos(tilt).
 fn leaves_disc(e: DVec3, t: DVec3, room: f64) -> f64 {
     let a = t.length_squared();
     if a == 0.0 {
@@ -153,7 +153,7 @@ mod tests {
         Hole { mouth: Mouth::Rectangle { normals: [DVec3::X, DVec3::Y], size_mm: [6.2, 30.4] }, ..HOLE };
     const BLADE: Peg = Peg { section: Section::Rectangle { half_mm: [3.0, 15.0] }, ..PEG };
 
-    /// A peg whose tip's middle stands at `x` and `height_mm` above the rim, leaning by `tilt` about y.
+    /// A peg with its tip's centre at `x` and `height_mm` above the rim, leaning by `tilt` about y.
     fn posture(x: f64, tilt: f64, height_mm: f64) -> Pose {
         let rotation = so3::exp(DVec3::Y * tilt);
         let tip = DVec3::new(x, 0.0, height_mm);
@@ -169,7 +169,7 @@ mod tests {
         }
     }
 
-    /// A centred tip and tilt α wedge where h tan α = D / 2 - r / cos α.
+    /// A centred tip with tilt α wedges where h tan α = D / 2 - r / cos α.
     #[test]
     fn a_leaning_peg_wedges_where_its_shaft_meets_the_rim() {
         let tilt: f64 = 0.012;
@@ -187,7 +187,7 @@ mod tests {
         assert_eq!(HOLE.fit(&PEG, &posture(0.0, core::f64::consts::PI, 1.0)).limit_mm, 0.0);
     }
 
-    /// The blade's tip stands at (x, y) and `height_mm` above the rim, after a turn.
+    /// The blade with its tip at (x, y) and `height_mm` above the rim, after a turn.
     fn blade(x: f64, y: f64, turn: DVec3, height_mm: f64) -> Pose {
         let rotation = so3::exp(turn);
         let tip = DVec3::new(x, y, height_mm);
@@ -201,7 +201,7 @@ mod tests {
         assert_eq!([limit(0.1001, 0.0), limit(0.0, 0.2001), limit(0.0, -9.0)], [0.0; 3]);
     }
 
-    /// A spin by α takes the corner (3, 15) to 3 cos α + 15 sin α along x.
+    /// A spin by α moves the corner (3, 15) to 3 cos α + 15 sin α along x.
     #[test]
     fn a_box_that_is_spun_meets_the_rim_with_its_corners() {
         let largest = 0.1 / 15.0;
@@ -213,15 +213,14 @@ mod tests {
         }
     }
 
-    /// Its edges stay within half the clearance c about the middle of the tip: to a depth of c / tan α.
+    /// Its edges stay within half the clearance c about the tip's centre down to a depth of c / tan α.
     #[test]
     fn a_box_that_leans_wedges_where_its_flank_meets_the_rim() {
         let lean: f64 = 0.015;
         let (sine, cosine) = (gelstereo_core::math::sin(lean), gelstereo_core::math::cos(lean));
         for sign in [1.0, -1.0] {
             let fit = SLOT.fit(&BLADE, &blade(0.0, 0.0, DVec3::Y * (sign * lean), 1.0));
-            // The corner that is the lowest by 3 sin α leans away from the wall; the other one meets it
-            // first.
+            // The corner that is lower by 3 sin α leans away from the wall; the other one meets it first.
             let higher = 3.1 - 3.0 * cosine;
             let lower = higher * cosine / sine;
             assert!(fit.limit_mm >= lower - 1e-9 && fit.limit_mm <= lower + 6.0 * sine + 1e-9, "{fit:?}");
@@ -230,7 +229,7 @@ mod tests {
         assert_eq!(SLOT.fit(&BLADE, &blade(0.0, 0.0, DVec3::X * 0.001, 1.0)).limit_mm, 10.0);
     }
 
-    /// Points of the flank below the rim, sampled, are between the walls up to the limit and not beyond it.
+    /// Sampled flank points below the rim are between the walls up to the limit and not beyond it.
     #[test]
     fn the_limit_of_a_box_is_that_of_its_points() {
         let mut stream = gelstereo_core::math::random::Stream::new(4, "blades");

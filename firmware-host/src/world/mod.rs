@@ -1,7 +1,7 @@
-//! The simulated world: a gripper on a robot, and, where the sensor is simulated too, the bench that they work at.
+//! The simulated world: a gripper on a robot, and a bench if the sensor is simulated too.
 //!
-//! Time passes by frames: each pair that the camera gives is one period later, and until then gripper and robot have
-//! moved on.
+//! Time advances by frames: each pair from the camera is one period later, during which gripper and robot
+//! move on.
 
 mod bench;
 mod devices;
@@ -26,16 +26,16 @@ use gelstereo_sim::SceneError;
 use std::cell::RefCell;
 use std::rc::Rc;
 
-/// Why there is no such world.
+/// Reason why the world cannot be created.
 #[derive(Debug)]
 pub enum WorldError {
     /// The sensor cannot be simulated.
     Scene(SceneError),
-    /// What stands in the holder cannot be loaded.
+    /// The part in the holder cannot be loaded.
     Part(PartError),
-    /// The gripper cannot open so wide.
+    /// The gripper cannot open this wide.
     Width(WidthError),
-    /// What stands in the holder is no peg that the simulated hole takes.
+    /// The part in the holder is not a peg that fits the simulated hole.
     NoPeg,
 }
 
@@ -63,7 +63,7 @@ impl From<WidthError> for WorldError {
     }
 }
 
-/// A value that goes towards another one.
+/// A value moving towards a target.
 #[derive(Clone, Copy, Debug)]
 struct Towards<T> {
     now: T,
@@ -77,21 +77,21 @@ impl<T: Copy> Towards<T> {
     }
 }
 
-/// Where the hand is at one moment.
+/// Pose of the hand at one moment.
 #[derive(Clone, Copy, Debug)]
 pub struct Hand {
     /// Gripper in the base frame.
     pub t_base_gripper: Pose,
     /// Sensor in the gripper frame.
     pub t_gripper_sensor: Pose,
-    /// Opening.
+    /// Opening width.
     pub width_mm: f64,
 }
 
-/// Free moves turn at most this fast, radians per second.
+/// Largest turning speed of free moves, radians per second.
 const TURN_SPEED_RAD_S: f64 = 2.0;
 
-/// What is really there.
+/// State of the simulated world.
 #[derive(Debug)]
 pub struct World {
     mount: SensorMount,
@@ -101,12 +101,12 @@ pub struct World {
     stalled: bool,
     width_mm: Towards<f64>,
     t_base_gripper: Towards<Pose>,
-    /// Part, hole and sensor; real images come without.
+    /// Part, hole and sensor; `None` with real images.
     bench: Option<Bench>,
 }
 
 impl World {
-    /// From a configuration, ready for the devices to share.
+    /// From a configuration, shared by the devices.
     ///
     /// # Errors
     /// [`WorldError`].
@@ -132,12 +132,12 @@ impl World {
         })))
     }
 
-    /// Lets one period pass.
+    /// Advances by one period.
     fn tick(&mut self) {
         self.advance(self.period_ns as f64 * 1e-9);
     }
 
-    /// Lets `dt` seconds pass: gripper and robot move on.
+    /// Advances gripper and robot by `dt` seconds.
     pub fn advance(&mut self, dt: f64) {
         let width = &mut self.width_mm;
         let way = width.target - width.now;
@@ -161,10 +161,10 @@ impl World {
         };
     }
 
-    /// Where the hand is at this moment.
+    /// Present pose of the hand.
     ///
     /// # Errors
-    /// [`WidthError`] when the gripper stands where it cannot.
+    /// [`WidthError`] when the gripper is at an invalid width.
     pub fn hand(&self) -> Result<Hand, WidthError> {
         Ok(Hand {
             t_base_gripper: self.t_base_gripper.now,
@@ -173,17 +173,17 @@ impl World {
         })
     }
 
-    /// Lets one period pass and takes a picture; `false` where there is no bench to take one of.
+    /// Advances by one period and renders a stereo pair; `false` without a bench.
     fn expose(&mut self, pair: &mut StereoPair) -> Result<bool, WidthError> {
         self.tick();
         self.picture(pair)
     }
 
-    /// Takes a picture of this moment; `false` where there is no bench to take one of. Its time is that of frames which
-    /// are a period apart.
+    /// Renders a stereo pair of the present moment; `false` without a bench. Time stamps are one period
+    /// apart.
     ///
     /// # Errors
-    /// [`WidthError`] when the gripper stands where it cannot.
+    /// [`WidthError`] when the gripper is at an invalid width.
     pub fn picture(&mut self, pair: &mut StereoPair) -> Result<bool, WidthError> {
         self.frame += 1;
         let hand = self.hand()?;
@@ -197,10 +197,10 @@ impl World {
         Ok(true)
     }
 
-    /// What is really there at this moment, where anybody knows it.
+    /// Ground truth of the present moment, where it is known.
     ///
     /// # Errors
-    /// [`WidthError`] when the gripper stands where it cannot.
+    /// [`WidthError`] when the gripper is at an invalid width.
     pub fn truth(&self) -> Result<Option<BenchTruth>, WidthError> {
         let hand = self.hand()?;
         Ok(self.bench.as_ref().map(|bench| bench.truth(&hand)))

@@ -1,12 +1,12 @@
-//! The prismatic parts that the simulated hole takes: cylinders and boxes, inserted along z.
+//! Prismatic parts that fit the simulated hole: cylinders and boxes, inserted along z.
 
 use gelstereo_core::math::{DVec3, cos, sin};
 use gelstereo_sim::Shape;
 
-/// Generator lines that stand for a round flank: they leave 0.0003 mm of a radius of 4 mm.
+/// Generator lines that represent a round flank; their error is 0.0003 mm at a radius of 4 mm.
 const LINES: u32 = 256;
 
-/// Outline of a part across the direction of insertion, about its origin.
+/// Outline of a part across the insertion direction, about its origin.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Section {
     /// A disc.
@@ -21,10 +21,10 @@ pub enum Section {
     },
 }
 
-/// A prismatic part; its tip is at +`axis` in its own frame, whose origin is its middle.
+/// A prismatic part; its tip is at +`axis` in its own frame, whose origin is its centre.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Peg {
-    /// Its outline.
+    /// Outline of the part.
     pub section: Section,
     /// Half its length.
     pub half_length_mm: f64,
@@ -33,7 +33,7 @@ pub struct Peg {
 }
 
 impl Peg {
-    /// The peg that a shape is, with its tip towards `axis`; none for other shapes and directions.
+    /// Peg for a shape, with its tip towards `axis`; `None` for other shapes and directions.
     #[must_use]
     pub fn of(shape: &Shape, axis: DVec3) -> Option<Self> {
         let (section, length_mm) = match *shape {
@@ -45,14 +45,13 @@ impl Peg {
         along_z.then_some(Self { section, half_length_mm: 0.5 * length_mm, axis })
     }
 
-    /// Whether it looks the same after any spin about its axis.
+    /// Whether it is symmetric under any spin about its axis.
     #[must_use]
     pub const fn is_round(&self) -> bool {
         matches!(self.section, Section::Round { .. })
     }
 
-    /// How far the section reaches from the middle along a unit direction of the part's frame that lies
-    /// across the axis.
+    /// Half width of the section along a unit direction of the part's frame that is orthogonal to the axis.
     #[must_use]
     pub fn half_width_mm(&self, direction: DVec3) -> f64 {
         match self.section {
@@ -61,7 +60,7 @@ impl Peg {
         }
     }
 
-    /// Corners of the tip, part frame; a round tip has many.
+    /// Corners of the tip, part frame; a round tip is approximated by many.
     #[must_use]
     pub fn tip_corners_mm(&self) -> Vec<DVec3> {
         let tip_mm = self.axis * self.half_length_mm;

@@ -1,4 +1,4 @@
-//! A grasp over and over, so that sensing alone has something to feel in the simulated world.
+//! Repeated grasps in the simulated world, as input for sensing without a robot.
 
 use crate::config::Config;
 use crate::gripper::{Gripper, GripperError};
@@ -7,10 +7,10 @@ use std::time::Duration;
 
 /// Frames with open fingers before each grasp: enough for the rest state.
 const OPEN_FRAMES: u32 = 30;
-/// Frames with the part held.
+/// Number of frames with the part held.
 const HELD_FRAMES: u32 = 60;
-/// The fingers close to so much less than `sense.grasp_width_mm`; the default part then presses the gel 0.75
-/// mm deep.
+/// The fingers close this far below `sense.grasp_width_mm`; the default part then presses the gel 0.75 mm
+/// deep.
 const SQUEEZE_MM: f64 = 1.5;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -34,7 +34,7 @@ pub struct Rehearsal {
 }
 
 impl Rehearsal {
-    /// With the speeds of the task.
+    /// Uses the speeds of the task.
     #[must_use]
     pub fn new(source: Box<dyn FrameSource>, gripper: Box<dyn Gripper>, config: &Config) -> Self {
         let task = &config.task;

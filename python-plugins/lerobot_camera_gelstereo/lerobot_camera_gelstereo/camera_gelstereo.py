@@ -8,11 +8,12 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+from lerobot.cameras import Camera
+from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
+
 import gelstereo as gs
 from gelstereo.live import CameraSource, FolderSource, LiveFrame, LiveSource, SceneSource
 from gelstereo.live.latest import Latest
-from lerobot.cameras import Camera
-from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
 from .config_gelstereo import GelStereoCameraConfig
 from .pictures import MotionPicture, Picture, left_picture, pair_picture

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import gelstereo as gs
 import numpy as np
-from gelstereo.live import LiveFrame
 from numpy.typing import NDArray
+
+import gelstereo as gs
+from gelstereo.live import LiveFrame
 
 Picture = NDArray[np.uint8]
 

@@ -1,4 +1,4 @@
-//! The detection stage: which search, which rung, and the part of the image that is searched.
+//! The detection stage: selects the search and the centring rung, and crops to the region of interest.
 
 use super::centre::Rung;
 use super::centre::covered::Glares;
@@ -27,18 +27,18 @@ pub struct Detector {
     masked: MaskedSearch,
     windows: WindowSearch,
     glares: Glares,
-    /// Region of interest: first column and row, width and height; of the whole image where there is none.
+    /// Region of interest: first column and row, width and height; `None` for the whole image.
     roi_px: Option<[usize; 4]>,
-    /// Of the part that is searched.
+    /// Size of the region searched.
     size_px: (usize, usize),
     whole_px: (usize, usize),
     areas_px2: Vec<u32>,
-    /// Expected positions within the part that is searched.
+    /// Expected positions, relative to the region searched.
     expected_px: Vec<DVec2>,
 }
 
 impl Detector {
-    /// With these settings (already validated by `Params::validate`).
+    /// Creates the stage from its settings (already validated by `Params::validate`).
     #[must_use]
     pub fn new(params: &DetectParams) -> Self {
         Self {
@@ -57,24 +57,25 @@ impl Detector {
         }
     }
 
-    /// Searches this part of images alone: first column and row, width and height, pixels. All positions stay those of
-    /// the whole image. What the part's border cuts is listed in [`Markers::cut`].
+    /// Restricts the search to a region of interest: first column and row, width and height, pixels.
+    /// Positions stay in coordinates of the whole image. Markers cut by the region's border are listed in
+    /// [`Markers::cut`].
     #[must_use]
     pub fn within(self, roi_px: Option<[usize; 4]>) -> Self {
         Self { roi_px, ..self }
     }
 
-    /// Forgets what was learned of earlier images (the weights of [`Centre::Matched`], the noise of [`Centre::Band`]), so
-    /// that the next one has the same bits as a first one.
+    /// Discards what was learned from earlier images (the weights of [`Centre::Matched`], the noise of
+    /// [`Centre::Band`]), so that the next result is bit-identical to that of a first image.
     pub fn reset(&mut self) {
         self.rung.get().forget();
     }
 
-    /// Finds the markers; `out` is cleared first. No allocation after the first image of a size.
+    /// Finds the markers; `out` is cleared first. Does not allocate after the first image of a size.
     ///
-    /// A component that reaches the outermost pixels of the image is listed in [`Markers::cut`]: what the border cut off is
-    /// unknown, and the centre of the rest is not the marker's. An image with contrast but without markers gives an empty
-    /// list.
+    /// Components that reach the outermost pixels of the image are listed in [`Markers::cut`], since the
+    /// centre of the visible part is not the marker's. An image with contrast but without markers gives
+    /// an empty list.
     ///
     /// # Errors
     /// [`DetectError`]; `out` is then empty.
@@ -84,7 +85,7 @@ impl Detector {
         self.check(image)?;
         self.make_room(image);
         let most = most_markers(&self.params, self.size_px);
-        // Along the border every second pixel at most begins a marker.
+        // Along the border, at most every second pixel starts a marker.
         out.reserve(most, most.min(image.width() + image.height()));
         self.areas_px2.clear();
         self.areas_px2.reserve(most);
@@ -101,13 +102,13 @@ impl Detector {
         Ok(())
     }
 
-    /// Looks for one marker within `reach_px` of each expected position, in both axes; a marker is found when all of it
-    /// lies in that window, `reach_px` being at most 31 px. `out` is cleared first.
+    /// Searches for one marker within `reach_px` of each expected position, in both axes. A marker is
+    /// found if it lies entirely in that window; `reach_px` is at most 31 px. `out` is cleared first.
     ///
-    /// It is one of those that [`Self::run`] finds, with the same bits: background and threshold are taken from the
-    /// whole image. (Only the model fit may differ by a fraction of its covariance: it learns the blur from what was
-    /// found.) A marker farther away than the reach is never taken for the expected one. No allocation after the first
-    /// image with as many positions.
+    /// Results are bit-identical to those of [`Self::run`], since background and threshold use the whole
+    /// image. (Only the model fit may differ by a fraction of its covariance, because it learns the blur
+    /// from the markers found.) A marker beyond the reach is never assigned. Does not allocate after the
+    /// first image with as many positions.
     ///
     /// # Errors
     /// [`DetectError`]; `out` is then empty.
@@ -134,7 +135,8 @@ impl Detector {
         Ok(())
     }
 
-    /// The size of markers that [`Self::run_windows`] can search with these settings: of a usual area, a pitch apart.
+    /// Marker size for [`Self::run_windows`], from the usual area and the pitch; `None` if these settings
+    /// do not allow that search.
     #[must_use]
     pub fn size_for_windows(&self, usual_area_px2: f64, pitch_px: f64) -> Option<MarkerSize> {
         let suits = self.params.threshold == Threshold::Auto
@@ -142,7 +144,7 @@ impl Detector {
         MarkerSize::of(usual_area_px2).filter(|size| suits && size.fits(pitch_px))
     }
 
-    /// Makes room for [`Self::run_windows`] on images of a size.
+    /// Reserves memory for [`Self::run_windows`] on images of this size.
     pub fn reserve_windows(
         &mut self,
         positions: usize,
@@ -158,11 +160,12 @@ impl Detector {
         out.sights.reserve(positions);
     }
 
-    /// Looks for one marker within `reach_px` of each expected position, in both axes, reading windows of the
-    /// image only. `out` is cleared first.
+    /// Searches for one marker within `reach_px` of each expected position, in both axes, reading only
+    /// windows of the image. `out` is cleared first.
     ///
-    /// A window's light and threshold are its own. No marker is given twice. A matched step starts from the centre by a
-    /// soft threshold, with weights that the last [`Self::run`] chose. No allocation after [`Self::reserve_windows`].
+    /// Each window has its own gel level and threshold. No marker is assigned twice. A matched filter
+    /// step starts from the soft-threshold centroid, with the weights chosen in the last [`Self::run`].
+    /// Does not allocate after [`Self::reserve_windows`].
     pub fn run_windows(
         &mut self,
         image: GrayView<'_>,
@@ -176,7 +179,7 @@ impl Detector {
         self.doubt_under_glare(image, &mut out.markers);
     }
 
-    /// At which size the markers of the last image were found.
+    /// Image scale at which the markers of the last image were found.
     #[must_use]
     pub fn found_at(&self) -> FindAt {
         match self.searched() {
@@ -185,7 +188,7 @@ impl Detector {
         }
     }
 
-    /// Writes the mask of the last image, 255 where a pixel belongs to a component, row by row.
+    /// Writes the mask of the last image, row by row: 255 where a pixel belongs to a component.
     pub fn mask(&self, out: &mut Vec<u8>) {
         let (segmentation, scale) = self.searched();
         segmentation.draw_scaled(self.size_px, scale, out);
@@ -197,13 +200,13 @@ impl Detector {
             .for_each(|(row, part)| row[x..x + columns].copy_from_slice(part));
     }
 
-    /// What the last image fell into, and how many of its columns and rows each pixel of that has.
+    /// Segmentation used for the last image, and its scale: image columns and rows per pixel.
     fn searched(&self) -> (&Segmentation, usize) {
         let half = self.half.as_ref().and_then(HalfSize::complete);
         half.map_or((&self.segmentation, 1), |segmentation| (segmentation, half::SCALE))
     }
 
-    /// The part that is searched, and where it begins.
+    /// The region searched and its origin.
     fn part<'a>(&mut self, image: GrayView<'a>) -> Result<(GrayView<'a>, DVec2), DetectError> {
         self.whole_px = (image.width(), image.height());
         let Some(roi_px) = self.roi_px else { return Ok((image, DVec2::ZERO)) };
@@ -234,12 +237,12 @@ impl Detector {
         Ok(())
     }
 
-    /// The first image of a size is looked at in both sizes, so that no later one needs more room.
+    /// The first image of a size is segmented at both scales, so that later ones need no more memory.
     fn make_room(&mut self, image: GrayView<'_>) {
         let size_px = (image.width(), image.height());
         if let (Some(half), true) = (&mut self.half, self.size_px != size_px) {
             half.reserve(image, &mut self.areas_px2);
-            // Whether it has too many components its search will tell.
+            // Too many components is reported by the search itself.
             let _ = self.segmentation.run(image);
         }
         self.size_px = size_px;

@@ -1,9 +1,9 @@
-//! Why an image has no markers to offer.
+//! Errors of marker detection.
 
-/// Why an image has no markers to offer.
+/// Why no markers were detected in an image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DetectError {
-    /// Too small for the smallest marker and a pixel of gel on each side of it.
+    /// Too small for the smallest marker with one pixel of gel on each side.
     TooSmall {
         /// Width found, pixels.
         width: usize,
@@ -21,26 +21,26 @@ pub enum DetectError {
         /// Height found, pixels.
         height: usize,
     },
-    /// No contrast: no pixel can differ from its surround by the threshold.
+    /// No contrast: no pixel can differ from its background by the threshold.
     Flat {
         /// Darkest grey level found.
         low: u8,
         /// Brightest grey level found.
         high: u8,
-        /// `detect.threshold_levels`, or the least that `detect.threshold = "auto"` goes down to.
+        /// `detect.threshold_levels`, or the least threshold of `detect.threshold = "auto"`.
         threshold_levels: u8,
     },
-    /// More markers, pieces or runs of pixels than any image of markers has.
+    /// More markers, components or pixel runs than any image of markers has.
     TooMany {
-        /// How many there are, up to where the search stopped.
+        /// Number found before the search stopped.
         found: usize,
-        /// How many there may be.
+        /// Largest allowed number.
         most: usize,
     },
 }
 
 impl DetectError {
-    /// The error of a region of interest that does not lie within an image of this size (width, height), if it does not.
+    /// The error of a region of interest that is not within an image of this size (width, height), or `None`.
     pub(crate) fn beyond(roi_px: [usize; 4], (width, height): (usize, usize)) -> Option<Self> {
         let [x, y, columns, rows] = roi_px;
         let fits = |first: usize, count: usize, size: usize| {

@@ -1,31 +1,31 @@
-//! What a search near expected positions found.
+//! Result of a search near expected positions.
 
 use super::markers::Markers;
 use alloc::vec::Vec;
 
-/// What the window around one expected position shows.
+/// Content of the window around one expected position.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum WindowObservation {
-    /// One whole marker: that of this index in [`Found::markers`]. No two positions are given the same one.
+    /// One whole marker, at this index of [`Found::markers`]. No two positions share a marker.
     Marker(u32),
-    /// Gel, and specks smaller than any marker: there is no marker.
+    /// Gel and specks smaller than any marker: no marker here.
     #[default]
     Nothing,
     /// Several whole markers.
     Several,
-    /// Not decided: only parts of markers, something that is no marker, a marker that is nearer to another position, or a
-    /// window outside the image.
+    /// Undecided: parts of markers only, something that is not a marker, a marker nearer to another
+    /// position, or a window outside the image.
     Unclear,
 }
 
 /// Markers found near expected positions.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Found {
-    /// Each once, in the order of the positions.
+    /// Each marker once, in the order of the positions.
     pub markers: Markers,
-    /// What was seen at each position.
+    /// Observation at each position.
     pub sights: Vec<WindowObservation>,
-    /// No two of the markers are closer to each other than this, as far as the search tells; 0 where it does not.
+    /// Guaranteed least distance between two of the markers; 0 if the search gives no guarantee.
     pub apart_px: f64,
 }
 

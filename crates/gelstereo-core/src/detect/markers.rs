@@ -1,4 +1,4 @@
-//! What is found in an image: markers, and those that the border cuts.
+//! Markers found in an image, and those cut by its border.
 
 use crate::math::DVec2;
 use crate::math::linalg::Symmetric;
@@ -6,13 +6,13 @@ use crate::params::DetectParams;
 use alloc::vec;
 use alloc::vec::Vec;
 
-/// Most markers of an image, those that the border cuts included: 90 x 90 and a few.
+/// Largest number of markers of an image, cut ones included: slightly more than 90 x 90.
 pub const MAX_MARKERS: usize = 8192;
 
-/// Pixels of an image for each of the markers that it may have.
+/// Image pixels per allowed marker.
 pub const PIXELS_PER_MARKER: usize = 50;
 
-/// Markers found in one image, in the raster order of their first pixels.
+/// Markers found in one image, in raster order of their first pixels.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Markers {
     /// Centres, pixels.
@@ -21,26 +21,27 @@ pub struct Markers {
     pub covariance_px2: Vec<Symmetric<2>>,
     /// Areas, square pixels.
     pub area_px2: Vec<u32>,
-    /// How many of them the model fit did not settle on, and which kept the grey centroid; 0 for other rungs.
+    /// Number of markers for which the model fit did not converge, so that they kept the
+    /// intensity-weighted centroid; 0 for other rungs.
     pub unfitted: usize,
-    /// Markers of which the image's border cuts off a part; none of the lists above has them.
+    /// Markers partly cut off by the image's border; they are in none of the lists above.
     pub cut: Vec<CutMarker>,
 }
 
-/// A marker that reaches the outermost pixels of the image: good enough for a label, not for a point.
+/// Marker that reaches the outermost pixels of the image: accurate enough for labelling, not for a 3D point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CutMarker {
     /// Mean position of its visible pixels, pixels; the centre lies farther out.
     pub centre_px: DVec2,
-    /// Covariance about the whole marker's centre, px²: across each border that it reaches, the share of a radius that its
-    /// area lacks.
+    /// Covariance about the whole marker's centre, px². Across each border reached, the
+    /// variance grows by the square of the radius times the missing share of the area.
     pub covariance_px2: Symmetric<2>,
     /// Visible area, square pixels.
     pub area_px2: u32,
 }
 
 impl Markers {
-    /// Markers at known places, with one standard deviation per axis for all.
+    /// Markers at known positions, with one standard deviation for all axes.
     #[must_use]
     pub fn at(centres_px: Vec<DVec2>, sigma_px: f64) -> Self {
         let variance = sigma_px * sigma_px;
@@ -71,7 +72,7 @@ impl Markers {
         self.cut.reserve(cut);
     }
 
-    /// Lists a marker with one variance for both coordinates.
+    /// Appends a marker with one variance for both coordinates.
     pub(super) fn push(&mut self, centre_px: DVec2, variance_px2: f64, area_px2: u32) {
         self.centres_px.push(centre_px);
         self.covariance_px2.push([[variance_px2, 0.0], [0.0, variance_px2]]);
@@ -79,10 +80,10 @@ impl Markers {
     }
 }
 
-/// Most markers of an image of this size (width, height), however small they may be; more are refused.
+/// Largest allowed number of markers of an image of this size (width, height); more are an error.
 ///
-/// Dots can be told apart from a pitch of about 6 px on, and a square lattice covers at most three quarters of the image: one marker
-/// for each [`PIXELS_PER_MARKER`].
+/// Dots can be separated from a pitch of about 6 px on, and a square lattice covers at most three
+/// quarters of the image: one marker per [`PIXELS_PER_MARKER`].
 #[must_use]
 pub fn most_markers(params: &DetectParams, size_px: (usize, usize)) -> usize {
     let pixels = size_px.0 * size_px.1;

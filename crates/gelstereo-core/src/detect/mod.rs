@@ -1,7 +1,7 @@
-//! Finding markers in one image (section III-A): what differs from its surround by enough, in one piece, of a
-//! plausible size, with its centre.
+//! Marker detection in one image (section III-A): connected components that differ enough from the
+//! background and have a plausible size, each with its centre.
 
-// Public for this crate's tests alone.
+// Public only for this crate's tests.
 #[doc(hidden)]
 pub mod centre;
 mod detector;

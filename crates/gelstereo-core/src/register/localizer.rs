@@ -5,7 +5,7 @@ use super::surface::UsualResiduals;
 use super::template::Template;
 use super::{Contact, Misfit, RegisterError, Registrar, Registration};
 use crate::math::Pose;
-use crate::params::{RegisterMethod, RegisterParams};
+use crate::params::{RegisterMethod, RegisterParams, SurfaceSearchParams};
 use crate::stop::{NEVER, Stop};
 
 /// Motion of a part between two frames, as a share of the guess's uncertainty. Tested on twenty simulated
@@ -77,7 +77,7 @@ impl Localizer {
     pub fn new(params: &RegisterParams, expected: &Pose) -> Self {
         use RegisterMethod::{SurfaceClose, SurfaceSearch, SurfaceTrack};
         let near = RegisterParams {
-            starts: 1,
+            surface_search: SurfaceSearchParams { starts: 1, ..params.surface_search.clone() },
             start_sigma_deg: MOVED * params.start_sigma_deg,
             start_sigma_mm: MOVED * params.start_sigma_mm,
             ..params.clone()

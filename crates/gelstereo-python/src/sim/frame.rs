@@ -11,16 +11,15 @@ use std::sync::OnceLock;
 
 type Image = Py<PyArray2<u8>>;
 
-/// One moment of a scene: both images and the truth behind them.
+/// One moment of a scene: both images and their ground truth.
 ///
-/// What the cameras see is worked out when it is first read, and so are the images: who reads points alone pays for these
-/// alone.
+/// The camera views and the images are computed on first access, so reading points alone costs only these.
 #[pyclass(frozen, module = "gelstereo")]
 pub struct SimulatedFrame {
-    /// Which frame of the trajectory; it keys the noise, and jumps where frames were dropped.
+    /// Index of the frame in the trajectory; it seeds the noise, and has gaps where frames were dropped.
     #[pyo3(get)]
     index: u64,
-    /// When it was taken, seconds on the keyframes' clock.
+    /// Exposure time, seconds on the keyframes' clock.
     #[pyo3(get)]
     time_s: f64,
     /// (N, 3) true marker positions, sensor frame.
@@ -29,21 +28,21 @@ pub struct SimulatedFrame {
     /// (N,) true height above the rest surface.
     #[pyo3(get)]
     indentation_mm: Array1<f64>,
-    /// (N,) bool, whether the indenter touches the gel at this marker.
+    /// (N,) bool, whether the indenter touches the gel at the marker.
     #[pyo3(get)]
     in_contact: Array1<bool>,
-    /// (4, 4) true pose of the indenter, or None when there is none.
+    /// (4, 4) true pose of the indenter, or None without one.
     #[pyo3(get)]
     t_sensor_object: Option<Matrix>,
     simulator: Py<Simulator>,
-    /// The markers in space at least.
+    /// At least the markers in space.
     truth: sim::Truth,
     seen: OnceLock<sim::Truth>,
     views: OnceLock<Views>,
     images: OnceLock<[Image; 2]>,
 }
 
-/// What the cameras see, as arrays.
+/// The camera views as arrays.
 struct Views {
     pixels: [Matrix; 2],
     normals: Matrix,
@@ -51,7 +50,7 @@ struct Views {
 }
 
 impl SimulatedFrame {
-    /// Of a field, or a moment.
+    /// From a field or a moment.
     pub(super) fn new(
         simulator: &Bound<'_, Simulator>,
         index: u64,
@@ -74,7 +73,7 @@ impl SimulatedFrame {
         })
     }
 
-    /// The whole truth. Two threads that ask at once both work it out, and find the same.
+    /// The complete ground truth. Two concurrent calls both compute it, with the same result.
     fn seen(&self, py: Python<'_>) -> PyResult<&sim::Truth> {
         if self.truth.left_px.len() == self.truth.points_mm.len() {
             return Ok(&self.truth);
@@ -165,35 +164,35 @@ impl SimulatedFrame {
         Ok(self.views(py)?.normals.clone_ref(py))
     }
 
-    /// How the markers look in the left image.
+    /// Appearance of the markers in the left image.
     #[getter]
     fn left_dots(&self, py: Python<'_>) -> PyResult<Py<SimulatedDots>> {
         Ok(self.views(py)?.dots[0].clone_ref(py))
     }
 
-    /// How the markers look in the right image.
+    /// Appearance of the markers in the right image.
     #[getter]
     fn right_dots(&self, py: Python<'_>) -> PyResult<Py<SimulatedDots>> {
         Ok(self.views(py)?.dots[1].clone_ref(py))
     }
 }
 
-/// How the markers' dots look in one image, N markers and S specks.
+/// Appearance of the markers' dots in one image, N markers and S specks.
 #[pyclass(frozen, get_all, module = "gelstereo")]
 pub struct SimulatedDots {
-    /// (N, 2) centroids of the dots' images, which are not the images of the dots' centres.
+    /// (N, 2) centroids of the dots' images, which differ from the images of the dots' centres.
     centres_px: Matrix,
     /// (N, 2, 2) two conjugate half diameters of each dot's elliptical image.
     half_px: Py<PyArray3<f64>>,
     /// (N,) radius of the circle of the same area.
     radii_px: Array1<f64>,
-    /// (N,) difference between dot and gel there, before the lens blurs it, grey levels.
+    /// (N,) contrast between dot and gel before the lens blur, grey levels.
     contrast_levels: Array1<f64>,
-    /// (N,) uint8, what there is to see of each dot, see `Sight`.
+    /// (N,) uint8 visibility of each dot, see `Sight`.
     sight: Array1<u8>,
-    /// (S, 2) centroids of specks, which are no markers.
+    /// (S, 2) centroids of specks, which are not markers.
     specks_px: Matrix,
-    /// (N, 2) how far each dot's image moves while the shutter is open; 0 where the scene has no motion blur.
+    /// (N, 2) motion of each dot's image during the exposure; 0 where the scene has no motion blur.
     motion_px: Matrix,
 }
 
@@ -212,7 +211,7 @@ impl SimulatedDots {
         specks: &[sim::Ellipse],
         motion_px: &[DVec2],
     ) -> PyResult<Py<Self>> {
-        // Those of the specks follow; none are known when nothing is known to move.
+        // The specks follow the markers; their motion is 0.
         let mut motion_px = motion_px.to_vec();
         motion_px.resize(dots.len(), DVec2::ZERO);
         let half_px = dots.iter().flat_map(|dot| dot.outline.half_px).flat_map(|half| half.to_array());

@@ -24,13 +24,13 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 const NO_INDENTER: &str =
     "the scene has no indenter; give it one, for example indenter = { kind = \"sphere\", radius_mm = 4 }";
 
-/// Names and values of the simulator's sights, which `gelstereo.Sight` repeats for the sake of its types.
+/// Names and values of the simulator's sights, repeated in `gelstereo.Sight` for typing.
 #[pyfunction]
 pub fn sights() -> std::collections::BTreeMap<&'static str, u8> {
     sim::Sight::ALL.map(|(name, sight)| (name, sight as u8)).into()
 }
 
-/// A scene made ready to run: a sequence of the `SimulatedFrame` s that arrive, each simulated when it is asked for.
+/// A scene ready to run: a sequence of the `SimulatedFrame` s that arrive, each simulated on access.
 ///
 /// Parameters
 /// ----------
@@ -63,7 +63,7 @@ impl Simulator {
         Ok(Self { stage: Mutex::new(stage), scene })
     }
 
-    /// The scene it was made of.
+    /// The scene of the simulator.
     #[getter]
     fn scene(&self, py: Python<'_>) -> Py<Scene> {
         self.scene.clone_ref(py)
@@ -73,12 +73,12 @@ impl Simulator {
         format!("<Simulator of {} frames>", self.__len__(py))
     }
 
-    /// By its scene: the copy simulates the same frames.
+    /// Pickles the scene: the copy simulates the same frames.
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> (Bound<'py, PyAny>, (Py<Scene>,)) {
         (slf.as_any().get_type().into_any(), (slf.get().scene.clone_ref(slf.py()),))
     }
 
-    /// Which effects are computed and why.
+    /// Which effects are computed, with reasons.
     #[getter]
     fn plan(&self, py: Python<'_>) -> PyResult<Plan> {
         let plan = py.detach(|| self.lock().plan().clone());
@@ -102,7 +102,7 @@ impl Simulator {
         Self::moment(slf, contact.as_ref(), frame as u64)
     }
 
-    /// (4, 4) the pose moved along the sensor's z until the part reaches `press_mm` into the gel.
+    /// (4, 4) the pose moved along the sensor's z axis until the part reaches `press_mm` into the gel.
     ///
     /// Raises
     /// ------
@@ -152,7 +152,7 @@ impl Simulator {
         Self::moment(slf, contact.as_ref(), frame.0 as u64)
     }
 
-    /// Render markers that someone else has placed: those of another sensor's recording, say.
+    /// Render markers at given positions, for example from another sensor's recording.
     ///
     /// Parameters
     /// ----------
@@ -164,7 +164,8 @@ impl Simulator {
     /// Returns
     /// -------
     /// SimulatedFrame
-    ///     Its indentation counts from the scene's flat surface; `in_contact` is false throughout, since nobody knows.
+    ///     Its indentation counts from the scene's flat surface; `in_contact` is false throughout, since
+    ///     nobody knows.
     ///
     /// Raises
     /// ------
@@ -197,7 +198,7 @@ impl Simulator {
         &self.scene.get().inner.rig
     }
 
-    /// The markers in space; what the cameras see of them is worked out when it is read.
+    /// Simulates the markers in space; the camera views are computed on access.
     fn moment(
         slf: &Bound<'_, Self>,
         contact: Option<&sim::ContactState>,
@@ -206,7 +207,7 @@ impl Simulator {
         let this = slf.get();
         let truth = slf.py().detach(|| {
             let (mut stage, mut truth) = (this.lock(), sim::Truth::default());
-            // Ways within an exposure are not kept, so dots that go them are looked at now.
+            // Motion within an exposure is not stored, so dots with motion blur are computed now.
             match stage.plan().scene.effects.motion_blur {
                 Some(_) => stage.moment(contact, frame, &mut truth),
                 None => stage.field(contact, frame, &mut truth),
@@ -217,7 +218,7 @@ impl Simulator {
     }
 }
 
-/// Triangles of a shape by its dimensions.
+/// Triangles of a shape given by its dimensions.
 ///
 /// Parameters
 /// ----------

@@ -1,4 +1,4 @@
-//! Which effects a scene needs.
+//! Selection of the effects that a scene needs.
 
 use super::Scene;
 use gelstereo_sim as sim;
@@ -6,24 +6,25 @@ use pyo3::prelude::*;
 use pyo3::types::PyTuple;
 use std::path::PathBuf;
 
-/// Which effects of a scene are computed, and why; its text is a table of them.
+/// Which effects of a scene are computed, with reasons; its text is a table of them.
 ///
-/// Every effect gives an upper bound of what it would change. Those on auto are off, from the smallest bound on, as long
-/// as the bounds of all that are off together stay within the tolerance of what the scene asks; the simulator is then
+/// Every effect has an upper bound on the change that it causes. Effects on auto are switched off in
+/// order of increasing bound, as long as the sum of their bounds stays within the tolerance of the
+/// requested result. The simulator then equals that of a scene without these effects.
 /// that of a scene which never had them.
 #[pyclass(frozen, module = "gelstereo")]
 pub struct Plan {
     inner: sim::Plan,
-    /// Every effect that the scene has, as a tuple of `PlannedEffect` s.
+    /// Every effect of the scene, as a tuple of `PlannedEffect` s.
     #[pyo3(get)]
     effects: Py<PyTuple>,
-    /// The scene without what is off: what is simulated.
+    /// The simulated scene, without the effects that are off.
     #[pyo3(get)]
     scene: Py<Scene>,
 }
 
 impl Plan {
-    /// Of the simulator of a scene whose mesh lies in that folder.
+    /// Plan of a simulator whose scene's mesh is in this folder.
     pub(super) fn new(py: Python<'_>, plan: sim::Plan, folder: PathBuf) -> PyResult<Self> {
         let effect = |entry: &sim::plan::Entry| {
             let planned = PlannedEffect {
@@ -48,7 +49,8 @@ impl Plan {
 
 #[pymethods]
 impl Plan {
-    /// What the effects that are off on auto may change together, at most, in the unit of what is asked.
+    /// Upper bound of the total change by the effects that are off on auto, in the unit of the requested
+    /// result.
     #[getter]
     fn left_out(&self) -> f64 {
         self.inner.left_out()
@@ -74,19 +76,19 @@ impl Plan {
 /// One effect of a `Plan`.
 #[pyclass(frozen, get_all, module = "gelstereo")]
 pub struct PlannedEffect {
-    /// Its name in a scene; "refraction", "lens_distortion" and "ellipse_bias" are the rig's own.
+    /// Name in a scene; "refraction", "lens_distortion" and "ellipse_bias" belong to the rig.
     name: &'static str,
     /// Whether it is computed.
     on: bool,
-    /// The most that it changes a dot's position within an image.
+    /// Upper bound of the change in a dot's position in an image.
     bound_px: f64,
-    /// The most that it changes a marker's position in space.
+    /// Upper bound of the change in a marker's position in space.
     bound_um: f64,
-    /// The most that it changes a pixel before it is rounded, grey levels.
+    /// Upper bound of the change in a pixel before rounding, grey levels.
     bound_levels: f64,
     /// Estimated time per stereo frame while it is on, nanoseconds.
     cost_ns: f64,
-    /// Why it is on or off.
+    /// Reason why it is on or off.
     why: String,
 }
 

@@ -1,4 +1,4 @@
-//! What a scene is.
+//! Scenes of the simulated sensor.
 
 use crate::errors::{SceneError, raise};
 use crate::rig::Rig;
@@ -8,9 +8,9 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyMapping, PyTuple, PyType};
 use std::path::PathBuf;
 
-/// What there is to see, and which effects act; a value that never changes.
+/// The objects and effects of a simulation; immutable.
 ///
-/// ``Scene()`` is the default sensor with nothing that touches it; `to_dict` shows what can be set.
+/// ``Scene()`` is the default sensor without contact; `to_dict` shows all settings.
 #[pyclass(frozen, module = "gelstereo")]
 pub struct Scene {
     pub(super) inner: sim::Scene,
@@ -32,9 +32,9 @@ impl Scene {
         Self { inner: sim::Scene::default(), folder: PathBuf::new() }
     }
 
-    /// A sensor by its name, without effects and with nothing that touches it: image size and markers along each
-    /// side. All see about 22 mm of gel at 28.7 mm; "640x480-25" is the default scene, "640x480-25-refraction" looks
-    /// through air, acrylic and gel at 15.6 mm of lattice.
+    /// A sensor preset without effects and without contact, named by image size and markers along each
+    /// side. All see about 22 mm of gel at 28.7 mm. "640x480-25" is the default scene;
+    /// "640x480-25-refraction" looks through air, acrylic and gel at a lattice of 15.6 mm.
     ///
     /// Raises
     /// ------
@@ -49,13 +49,13 @@ impl Scene {
         Ok(Self { inner, folder: PathBuf::new() })
     }
 
-    /// Names that `preset` knows.
+    /// Valid names for `preset`.
     #[classmethod]
     fn presets<'py>(cls: &Bound<'py, PyType>) -> PyResult<Bound<'py, PyTuple>> {
         PyTuple::new(cls.py(), sim::Scene::PRESETS)
     }
 
-    /// A scene from TOML text; what is left out keeps its default.
+    /// A scene from TOML text; omitted settings keep their defaults.
     ///
     /// Raises
     /// ------
@@ -71,7 +71,7 @@ impl Scene {
         tree::to_toml(&self.inner).map_err(SceneError::new_err)
     }
 
-    /// A scene from a TOML file; paths of meshes in it are relative to the file.
+    /// A scene from a TOML file; mesh paths in it are relative to the file.
     #[classmethod]
     fn load(cls: &Bound<'_, PyType>, path: PathBuf) -> PyResult<Self> {
         let folder = path.parent().map(PathBuf::from).unwrap_or_default();
@@ -118,7 +118,7 @@ impl Scene {
         Ok(format!("Scene.from_toml(\"\"\"\n{}\"\"\")", self.to_toml()?))
     }
 
-    /// With the folder of its file, where a mesh's relative path starts.
+    /// From the text and the folder of a file; mesh paths are relative to the folder.
     #[classmethod]
     fn _from_file(_cls: &Bound<'_, PyType>, text: &str, folder: PathBuf) -> PyResult<Self> {
         Self::checked(tree::from_toml(text).map_err(SceneError::new_err)?, folder)

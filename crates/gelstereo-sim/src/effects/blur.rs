@@ -6,7 +6,7 @@ use crate::scene::{Gel, SceneError};
 use alloc::vec::Vec;
 use gelstereo_core::math::{ceil, erf};
 
-/// Blur of a lens that is not quite in focus: a Gaussian, the same everywhere.
+/// Blur of a slightly defocused lens: a Gaussian, the same everywhere in the image.
 ///
 /// Limit: a real defocus disc has a rim and grows with the distance from the focal plane.
 #[derive(Clone, Debug, PartialEq)]
@@ -34,7 +34,8 @@ impl Effect for Defocus {
 
     fn bound(&self, facts: &Facts<'_>) -> Bound {
         let [low, high] = facts.levels();
-        // Of evenly bright pixels, and of ink too, what a pixel gains is what others see of it. (1e-4: what is cut off.)
+        // A pixel keeps own² of its level; the rest comes from its neighbours, for gel and ink alike.
+        // (1e-4: kernel truncation.)
         let own = self.lens().pixel(0.0);
         Bound::of_levels((high - low) * (1.0 - own * own + 1e-4))
     }
@@ -43,7 +44,7 @@ impl Effect for Defocus {
         let dot_px = facts.dot_radius_mm() * facts.optics.lateral_px_per_mm;
         let lines = 2.0 + 2.2 * dot_px / self.sigma_px;
         let reach_px = self.lens().reach_px();
-        // Of every line so many rows of so many columns are added up, four at once. Sharp dots take eight lines to a pixel.
+        // Each line sums rows times columns, four at once. Sharp dots take eight lines per pixel.
         let soft = lines * (100.0 + 2.0 * reach_px * (1.0 + 0.6 * (dot_px + reach_px)));
         let sharp = 2.0 * 8.0 * dot_px * 19.5;
         2.0 * facts.markers() * (soft - sharp).max(0.0)
@@ -51,7 +52,7 @@ impl Effect for Defocus {
 }
 
 impl Defocus {
-    /// What it makes of the pixels.
+    /// The renderer's lens for this blur.
     pub(crate) fn lens(&self) -> Lens {
         Lens { sigma_px: self.sigma_px }
     }
@@ -68,7 +69,7 @@ pub(crate) struct Blur {
 
 impl Blur {
     pub(crate) fn new(defocus: &Defocus) -> Self {
-        // Gaussian integrated over each pixel, cut off at 4 sigma where 6e-5 of it is left.
+        // Gaussian integrated over each pixel, cut off at 4 sigma, where 6e-5 of it is left.
         let radius = ceil(4.0 * defocus.sigma_px) as usize;
         let scale = 1.0 / (defocus.sigma_px * core::f64::consts::SQRT_2);
         let cumulative = |x: f64| 0.5 * erf(x * scale);
@@ -77,7 +78,7 @@ impl Blur {
         Self::weighted((0..=radius).map(|k| weight(k) as f32).collect())
     }
 
-    /// What a lens shows of pixels that are evenly bright each.
+    /// Response of a lens to pixels of uniform brightness.
     pub(crate) fn of_pixels(lens: Lens) -> Self {
         let weights: Vec<f64> = (0..=lens.reach()).map(|k| lens.pixel(k as f64)).collect();
         let whole = 2.0 * weights.iter().sum::<f64>() - weights[0];
@@ -88,8 +89,8 @@ impl Blur {
         Self { weights, rows: Vec::new(), padded: Vec::new() }
     }
 
-    /// Standard deviation that white noise of unit variance keeps: the sum of the squared weights along one
-    /// axis (its root, once for each axis).
+    /// Standard deviation of white noise of unit variance after the blur: the sum of the squared weights
+    /// along one axis (its root, once for each axis).
     pub(crate) fn remaining_sigma(&self) -> f32 {
         let beside: f32 = self.weights[1..].iter().map(|w| w * w).sum();
         self.weights[0] * self.weights[0] + 2.0 * beside

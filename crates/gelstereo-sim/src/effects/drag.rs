@@ -8,10 +8,11 @@ use crate::screened::{Motion, Node, Screened};
 use crate::simulator::ContactState;
 use gelstereo_core::math::{DVec2, cos, sin};
 
-/// The surface follows the part's shear and twist: it sticks in the contact and decays beside it.
+/// The surface follows the part's shear and twist: it sticks in the contact, and the motion decays
+/// beside it.
 ///
-/// Model: in the contact every marker moves with the part; beside it u - l² Δu = 0 for both components, a shear
-/// layer bonded to its plate. Limits: no slip; the two components do not mix; small strain.
+/// Model: in the contact every marker moves with the part. Beside it u - l² Δu = 0 for both components,
+/// a shear layer bonded to its plate. Limits: no slip; the two components do not mix; small strain.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(
     feature = "serde",
@@ -41,17 +42,17 @@ impl Effect for Drag {
         if !(own_mm > 0.0) {
             return Bound::NONE;
         }
-        // The part touches other markers, from which the gel spreads.
+        // Drag changes which markers the part touches, and so how the gel spreads.
         let sideways_mm = own_mm.max(facts.sideways_mm);
         facts.moved(sideways_mm, facts.height_mm(sideways_mm))
     }
 
     fn cost_ns(&self, facts: &Facts<'_>) -> f64 {
-        // Both components at once, and where the part is before it drags and where it twists about.
+        // Both components at once, plus the contact before the drag and the centre of the twist.
         1.5 * facts.relaxation_ns(self.decay_thicknesses) + 64.0 * facts.markers()
     }
 
-    /// Each component is between those of the markers that stick.
+    /// Each component lies between those of the sticking markers.
     fn sideways_mm(&self, facts: &Facts<'_>) -> f64 {
         core::f64::consts::SQRT_2 * facts.touch.grip_mm()
     }
@@ -66,7 +67,7 @@ impl Pull {
         Self(Screened::new(lattice, drag.decay_thicknesses * lattice.thickness_mm))
     }
 
-    /// Adds the motion of every marker when those `stuck` move with the part.
+    /// Adds the motion of every marker when the `stuck` ones move with the part.
     pub(crate) fn pull(&mut self, grip: &Grip, (rest, stuck): (&[DVec2], &[bool]), motion: &mut [DVec2]) {
         let Self(membrane) = self;
         membrane.hold(|i| Motion::even(if stuck[i] { 0.0 } else { 1.0 }));
@@ -76,7 +77,7 @@ impl Pull {
     }
 }
 
-/// The rigid motion of the part in the plane since it touched.
+/// The part's rigid motion in the plane since it touched.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Grip {
     pub(crate) centre_mm: DVec2,
@@ -86,7 +87,7 @@ pub(crate) struct Grip {
 }
 
 impl Grip {
-    /// Shear, and twist about `centre_mm` (where the contact's centre was when it touched).
+    /// Shear, and twist about `centre_mm` (the contact's centre at touch).
     pub(crate) fn new(contact: &ContactState, centre_mm: DVec2) -> Self {
         let half = sin(0.5 * contact.twist_rad);
         Self {
@@ -97,7 +98,7 @@ impl Grip {
         }
     }
 
-    /// Motion of a point that stood at `rest` and moves with the part.
+    /// Motion of a point at rest position `rest` that moves with the part.
     pub(crate) fn motion_mm(&self, rest: DVec2) -> DVec2 {
         let arm = rest - self.centre_mm;
         self.shear_mm + arm.perp() * self.sine - arm * self.versine

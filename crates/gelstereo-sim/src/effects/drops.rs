@@ -1,4 +1,4 @@
-//! Frames that never arrive.
+//! Dropped frames.
 
 use crate::plan::{Bound, Effect, Facts};
 use crate::scene::{Gel, SceneError};
@@ -6,7 +6,8 @@ use alloc::vec::Vec;
 use gelstereo_core::digest::Digest;
 use gelstereo_core::math::random::Stream;
 
-/// Frames that the camera took but did not deliver: the sequence skips them, and the others' indices and times tell.
+/// Frames that the camera took but did not deliver. The sequence skips them, which shows in the indices
+/// and times of the other frames.
 ///
 /// In a file: `[effects.dropped_frames] frames = [7, 8]` or `rate = 0.05`.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -30,7 +31,7 @@ impl Effect for DroppedFrames {
 
     fn bound(&self, facts: &Facts<'_>) -> Bound {
         let _ = facts;
-        // A frame that does not arrive is not nearly there.
+        // A dropped frame differs from any delivered one without bound.
         if self.frames.is_empty() && self.rate == 0.0 { Bound::NONE } else { Bound::UNKNOWN }
     }
 
@@ -41,7 +42,7 @@ impl Effect for DroppedFrames {
 }
 
 impl DroppedFrames {
-    /// The frames out of `count` that arrive.
+    /// The delivered frames out of `count`.
     pub(crate) fn delivered(&self, seed: u64, count: usize) -> Vec<usize> {
         let mut stream = Stream::new(Digest::new().u64(seed).value(), "dropped_frames");
         let arrives = |frame: &usize| {

@@ -4,13 +4,14 @@ use crate::layer::{Grid, Layer, Places};
 use crate::plan::{Bound, Effect, Facts};
 use crate::scene::{Gel, SceneError};
 
-/// The gel sags, rises and moves sideways as an elastic layer bonded to its plate does, and sticks to the part as far as
-/// friction holds it.
+/// The gel deforms as an elastic layer bonded to its plate: it sags, rises and moves sideways, and
+/// sticks to the part within the friction bound.
 ///
-/// Model: the contact problem of linear elasticity, solved over cells finer than the markers' pitch
-/// ([`crate::layer::LayerContact`]). It is what [`super::Shoulder`], [`super::Spread`] and [`super::Drag`] approximate, and
-/// takes their place: a scene cannot have both. Limits: small strain (see [`super::LargeStrain`]); the part's path does not
-/// matter, only where it is (what slipped on the way is not remembered); nothing presses on gel farther out than `border_pitches`.
+/// Model: the contact problem of linear elasticity, solved on cells finer than the markers' pitch
+/// ([`crate::layer::LayerContact`]). [`super::Shoulder`], [`super::Spread`] and [`super::Drag`] are
+/// approximations of it, and a scene cannot have both. Limits: small strain (see
+/// [`super::LargeStrain`]); the result depends on the part's pose only, not on its path (slip on the way
+/// is not modelled); nothing presses on gel farther out than `border_pitches`.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(
     feature = "serde",
@@ -35,10 +36,11 @@ impl Default for ElasticLayer {
 }
 
 impl ElasticLayer {
-    /// How near to the part a cell in contact ends: 0.1 um is 2e-3 px on the default rig.
+    /// Distance to the part at which a cell in contact has converged: 0.1 um is 2e-3 px on the default
+    /// rig.
     pub(crate) const TOLERANCE_MM: f64 = 1e-4;
 
-    /// The layer, the cells, and the markers on them.
+    /// The layer, the cells, and the markers' places on them.
     pub(crate) fn cells(&self, gel: &Gel) -> (Layer, Grid, Places) {
         let step = self.cells_per_pitch;
         let places = Places { rows: gel.rows, cols: gel.cols, step, border: self.border_pitches * step };
@@ -67,7 +69,7 @@ impl Effect for ElasticLayer {
     }
 
     fn bound(&self, facts: &Facts<'_>) -> Bound {
-        // Heights are between a rise, which is less than the depth, and the depth.
+        // Heights range from a bulge, lower than the depth, to the depth.
         facts.moved(self.sideways_mm(facts), 2.0 * facts.touch.depth_mm)
     }
 
@@ -81,9 +83,9 @@ impl Effect for ElasticLayer {
         30.0 * cells + 150.0 * products * (pressed + 64.0) + pressed * facts.markers() * 3.0
     }
 
-    /// A wide part presses the gel out from under itself: of depth times half a span, spread over the thickness, the surface
-    /// takes 3/2 (a parabola that is free above). Under a narrow one it moves less than that is deep. What sticks moves with the
-    /// part.
+    /// A wide part displaces depth times half the span of gel, spread over the thickness. The surface
+    /// moves 3/2 of that mean (parabolic profile, free at the top). Under a narrow part it moves less
+    /// than the depth. Sticking gel also moves with the part.
     fn sideways_mm(&self, facts: &Facts<'_>) -> f64 {
         let touch = &facts.touch;
         let wide = 0.75 * touch.span_mm / facts.scene.gel.thickness_mm;

@@ -8,9 +8,9 @@ use gelstereo_core::camera::Camera;
 use gelstereo_core::digest::Digest;
 use gelstereo_core::math::random::Stream;
 
-/// Speckle of the painted surface: the same in every frame of a sequence, drawn once for each view.
+/// Speckle of the painted surface, drawn once per view: the same in every frame of a sequence.
 ///
-/// Limit: it stands still in the image while the gel moves below it, and the two views' grains are independent.
+/// Limit: it is static in the image while the gel moves, and the two views' grains are independent.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(
     feature = "serde",
@@ -48,7 +48,7 @@ impl Effect for Grain {
 }
 
 impl Grain {
-    /// The most of it: the sum of the blur's weights is 1, so that no pixel has more than the largest number that
+    /// Upper bound: the blur's weights sum to 1, so no pixel exceeds the largest number that
     /// [`Stream::normal`] can draw, sqrt(2 ln 2^53).
     pub(crate) fn most_levels(&self) -> f64 {
         const LARGEST: f64 = 8.572;
@@ -74,7 +74,7 @@ impl Texture {
         Self(levels)
     }
 
-    /// On the view's levels.
+    /// Adds the grain to the view's levels.
     pub(crate) fn apply(&self, levels: &mut [f32]) {
         levels.iter_mut().zip(&self.0).for_each(|(level, grain)| *level += grain);
     }

@@ -1,14 +1,15 @@
-//! What compression leaves of an image.
+//! JPEG compression.
 
 use crate::plan::{Bound, Effect, Facts};
 use crate::scene::{Gel, SceneError};
 use gelstereo_core::math::{cos, round};
 
-/// Each image on its own through a baseline JPEG codec, as cameras do that send MJPEG: blocks of 8 by 8 pixels as cosines
-/// (ITU-T T.81, A.3), whose amplitudes are rounded to multiples of the standard luminance table (K.1) at the codec's
-/// quality. What follows in a real file, the coding of these numbers, loses nothing.
+/// Passes each image through a baseline JPEG codec, as cameras with MJPEG do. Blocks of 8 by 8 pixels
+/// are transformed to cosines (ITU-T T.81, A.3). Their coefficients are rounded to multiples of the
+/// standard luminance table (K.1) at the codec's quality. The entropy coding that follows in a real file
+/// is lossless and omitted.
 ///
-/// The last of the effects on the image: bounds of the others' levels are those before it.
+/// This is the last effect on the image: the other effects' bounds apply to the levels before it.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(
     feature = "serde",
@@ -58,8 +59,9 @@ impl Effect for Jpeg {
     }
 
     fn bound(&self, _facts: &Facts<'_>) -> Bound {
-        // Every amplitude is off by half a step, and all of them add up in one pixel; the root of 8 is that of the
-        // constant's share. Two levels more for rounding within and behind the transforms.
+        // Every coefficient is off by up to half a step, and all errors can add up in one pixel. The
+        // root of 8 is the factor of the constant coefficient. Two more levels for rounding in and after
+        // the transforms.
         let share = |k: usize| if k == 0 { 1.0 / (2.0 * core::f64::consts::SQRT_2) } else { 0.5 };
         let steps = self.table().into_iter().enumerate().flat_map(|(v, row)| {
             row.into_iter().enumerate().map(move |(u, step)| share(u) * share(v) * 0.5 * f64::from(step))
@@ -72,11 +74,11 @@ impl Effect for Jpeg {
     }
 }
 
-/// Bits behind the point of the cosines, and of what lies between the two passes of a transform.
+/// Fractional bits of the cosines, and of the values between the two passes of a transform.
 const BITS: u32 = 13;
 const PASS_BITS: u32 = 4;
 
-/// A ready-made codec.
+/// A codec with precomputed tables.
 #[derive(Clone, Debug)]
 pub(crate) struct Codec {
     table: Block,
@@ -97,7 +99,8 @@ impl Codec {
         }
     }
 
-    /// Encodes and decodes an image in place. Blocks that reach beyond it are filled up with its last pixels.
+    /// Encodes and decodes an image in place. Blocks that extend beyond it are padded with its last
+    /// pixels.
     pub(crate) fn pass(&self, image: &mut [u8], width: usize) {
         let height = image.len() / width;
         for top in (0..height).step_by(SIDE) {
@@ -115,7 +118,7 @@ impl Codec {
         }
     }
 
-    /// Amplitudes in units of 2^-PASS_BITS.
+    /// Coefficients in units of 2^-PASS_BITS.
     fn forward(&self, block: Block) -> Block {
         let rows = product(&block, &transposed(&self.cosines), BITS - PASS_BITS);
         product(&self.cosines, &rows, BITS)
@@ -143,8 +146,8 @@ fn transposed(block: &Block) -> Block {
     core::array::from_fn(|y| core::array::from_fn(|x| block[x][y]))
 }
 
-/// The matrices' product, shifted and rounded. Amplitudes are below 2^12 with 4 bits behind the point, cosines below 2^12:
-/// eight products stay below 2^31.
+/// Matrix product, shifted and rounded. Coefficients are below 2^12 with 4 fractional bits, and cosines
+/// below 2^12: eight products stay below 2^31.
 fn product(a: &Block, b: &Block, shift: u32) -> Block {
     let mut sums = [[1 << (shift - 1); SIDE]; SIDE];
     for (sums, factors) in sums.iter_mut().zip(a) {
@@ -163,7 +166,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// T.81, A.3.3, in real numbers and term by term.
+    /// T.81, A.3.3, in floating point, term by term.
     fn amplitudes(block: &Block) -> [[f64; SIDE]; SIDE] {
         let angle = |x: usize, u: usize| cos(((2 * x + 1) * u) as f64 * core::f64::consts::PI / 16.0);
         let scale = |u: usize| if u == 0 { core::f64::consts::FRAC_1_SQRT_2 } else { 1.0 };
@@ -184,7 +187,8 @@ mod tests {
             let codec = Codec::new(&Jpeg { quality: 100 });
             let found = codec.forward(levels);
             for (found, expected) in found.iter().flatten().zip(amplitudes(&levels).iter().flatten()) {
-                // Cosines are off by 2^-14, which 64 pixels of 128 levels make half a level of at most, and mostly a tenth.
+                // Cosines are off by 2^-14. Over 64 pixels of 128 levels that is at most half a level,
+                // typically a tenth.
                 let found = f64::from(*found) / f64::from(1 << PASS_BITS);
                 prop_assert!((found - expected).abs() < 0.5, "{found} for {expected}");
             }
@@ -201,7 +205,8 @@ mod tests {
             let bound = Facts::of(&scene, None).map_or(0.0, |facts| jpeg.bound(&facts).levels);
             let off = image.iter().zip(&seed).map(|(a, b)| a.abs_diff(*b)).max().unwrap_or(0);
             prop_assert!(f64::from(off) <= bound);
-            // Even images come back as they were but for half the constant's step, an eighth of it in every pixel, and rounding.
+            // Uniform images are off by half the constant coefficient's step at most (an eighth of that
+            // per pixel), and by rounding.
             let mut even = alloc::vec![seed[0]; 64];
             Codec::new(&jpeg).pass(&mut even, 8);
             let step = f64::from(jpeg.table()[0][0]) / 16.0 + 1.0;

@@ -1,13 +1,14 @@
-//! Strains that are not small.
+//! Large strains.
 
 use crate::plan::{Bound, Effect, Facts};
 use crate::scene::{Gel, SceneError};
 
-/// The part meets the gel where the gel has moved to, not where it was.
+/// The part contacts the gel at its displaced position, not at its rest position.
 ///
-/// Model: the elastic layer's contact is solved again with the part's heights above the places to which the cells have
-/// moved sideways, until they move no more: the contact of large displacements. The gel's law stays linear (a soft silicone's does up to
-/// some 30 % of strain), and so does the layer's thickness. It acts on [`super::ElasticLayer`] and needs it.
+/// Model: the elastic layer's contact is solved again with the part's heights above the displaced cells,
+/// until they stop moving (contact with large displacements). The gel's law stays linear (valid for a
+/// soft silicone up to some 30 % of strain), and the layer's thickness is constant. It acts on
+/// [`super::ElasticLayer`] and needs it.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(
     feature = "serde",
@@ -41,7 +42,7 @@ impl Effect for LargeStrain {
     }
 
     fn cost_ns(&self, facts: &Facts<'_>) -> f64 {
-        // Of a part that sticks; others take a fifth.
+        // For a part that sticks; others take a fifth.
         self.rounds as f64 * super::cells_of_layer(facts) * 1200.0
     }
 

@@ -1,4 +1,4 @@
-//! Uneven light.
+//! Uneven illumination.
 
 use crate::plan::{Bound, Effect, Facts};
 use crate::scene::{Gel, SceneError};
@@ -6,8 +6,9 @@ use alloc::vec::Vec;
 use gelstereo_core::camera::Camera;
 use gelstereo_core::math::DVec2;
 
-/// Light that falls off from one side to the other and towards the corners: a gain on every pixel, the same in
-/// both views. `{ gain = 0.35, across = 0, down = 0, corner_loss = 0 }` is 35 % of the light everywhere.
+/// Illumination that falls off from one side to the other and towards the corners: a gain on every
+/// pixel, the same in both views. `{ gain = 0.35, across = 0, down = 0, corner_loss = 0 }` is 35 % of
+/// the light everywhere.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(
     feature = "serde",
@@ -73,7 +74,7 @@ impl UnevenLight {
         (gain(left + top), gain(right + bottom))
     }
 
-    /// The gain at a pixel of an image of that size.
+    /// The gain at a pixel of an image of this size.
     pub(crate) fn gain(&self, at: DVec2, size: DVec2) -> f64 {
         let DVec2 { x, y } = (at + 0.5) / size - 0.5;
         // x² + y² is 1/2 in the corners.
@@ -81,7 +82,7 @@ impl UnevenLight {
         (self.gain * share).max(0.0)
     }
 
-    /// How fast its logarithm grows at a pixel, per px; 0 where there is no light.
+    /// Gradient of the gain's logarithm at a pixel, per px; 0 where there is no light.
     pub(crate) fn growth(&self, at: DVec2, size: DVec2) -> DVec2 {
         let gain = self.gain(at, size);
         if gain <= 0.0 {
@@ -93,7 +94,7 @@ impl UnevenLight {
     }
 }
 
-/// The gain of every pixel of a view: its column's share and its row's, added up.
+/// The gain of every pixel of a view, as the sum of a column term and a row term.
 #[derive(Clone, Debug)]
 pub(crate) struct Gain {
     columns: Vec<f32>,
@@ -112,12 +113,12 @@ impl Gain {
         }
     }
 
-    /// The share of a row, and those of the columns.
+    /// The term of a row, and those of the columns.
     pub(crate) fn of_row(&self, y: usize) -> (f32, &[f32]) {
         (self.rows[y], &self.columns)
     }
 
-    /// Of a pixel with these shares.
+    /// Gain of a pixel with these terms.
     #[inline(always)]
     pub(crate) fn of(row: f32, column: f32) -> f32 {
         let gain = column + row;

@@ -1,4 +1,4 @@
-//! A lattice that was not printed as it was drawn.
+//! Printing errors of the lattice.
 
 use crate::plan::{Bound, Effect, Facts};
 use crate::scene::{Gel, SceneError};
@@ -7,8 +7,8 @@ use alloc::vec::Vec;
 use gelstereo_core::digest::Digest;
 use gelstereo_core::math::{DVec2, cos, random::Stream, sin, sqrt};
 
-/// Dots beside their places and of other sizes, and ink between neighbours. Truth gives the centres that were printed,
-/// both of them where two are merged.
+/// Displaced dots, dots of other sizes, and ink between neighbours. The ground truth has the printed
+/// centres, both of them for merged dots.
 ///
 /// In a file: `[effects.misprint] shift_mm = 0.05, merged = [[3, 4, 3, 5]]`.
 #[derive(Clone, Debug, PartialEq)]
@@ -83,12 +83,13 @@ impl Effect for Misprint {
     }
 }
 
-/// What was printed, marker by marker.
+/// The printed lattice, marker by marker.
 #[derive(Clone, Debug)]
 pub(crate) struct Print {
-    /// From each dot's place, along the lattice's rows and columns; empty when all are in their places.
+    /// Offset of each dot from its nominal place, along the lattice's rows and columns; empty without
+    /// offsets.
     shift_mm: Vec<DVec2>,
-    /// Each dot's radius over the one asked for.
+    /// Each dot's radius over the nominal one.
     radius: Vec<f64>,
 }
 
@@ -116,12 +117,13 @@ impl Print {
         Self { shift_mm, radius }
     }
 
-    /// Where the dots are, from their places along the lattice's rows and columns; `None` when they are there.
+    /// Offsets of the dots from their nominal places along the lattice's rows and columns; `None`
+    /// without offsets.
     pub(crate) fn shift_mm(&self) -> Option<&[DVec2]> {
         (!self.shift_mm.is_empty()).then_some(&self.shift_mm)
     }
 
-    /// A dot's radius over the one asked for.
+    /// A dot's radius over the nominal one.
     pub(crate) fn radius(&self, marker: usize) -> f64 {
         self.radius[marker]
     }
@@ -141,7 +143,7 @@ impl Bridge {
         self.markers.contains(&marker)
     }
 
-    /// How far it moves while its dots move so far.
+    /// Motion of the bar for these motions of its dots.
     pub(crate) fn way_px(&self, motion_px: &[DVec2]) -> DVec2 {
         let [a, b] = self.markers;
         0.5 * (motion_px[a] + motion_px[b])

@@ -1,10 +1,12 @@
-//! What a real gel, print and camera do beyond the rigid imprint; each effect acts only when a scene lists it.
+//! Effects of a real gel, print and camera beyond the rigid imprint; each acts only when a scene lists
+//! it.
 //!
-//! An effect that is absent costs nothing and draws no random number, so the others' bits do not depend on it:
-//! every stream is keyed by (seed, effect's name). On the gel: [`Shoulder`], [`Spread`], [`Drag`], or
-//! [`ElasticLayer`] in their place, with [`Relaxation`] and [`LargeStrain`]. In the print: [`Misprint`], [`Wear`],
-//! [`Specks`]. On the images, in this order: [`Grain`], [`UnevenLight`], [`MotionBlur`], [`Defocus`], [`Smears`], [`ShotNoise`],
-//! [`SensorNoise`], [`Jpeg`]. On the way: [`DroppedFrames`]. Lens distortion and refraction are the rig's own.
+//! An absent effect costs nothing and draws no random number. Each random stream is keyed by (seed,
+//! effect's name), so the bits of the other effects do not depend on it. Gel: [`Shoulder`], [`Spread`],
+//! [`Drag`], or [`ElasticLayer`] in their place, with [`Relaxation`] and [`LargeStrain`]. Print:
+//! [`Misprint`], [`Wear`], [`Specks`]. Images, in this order: [`Grain`], [`UnevenLight`],
+//! [`MotionBlur`], [`Defocus`], [`Smears`], [`ShotNoise`], [`SensorNoise`], [`Jpeg`]. Transport:
+//! [`DroppedFrames`]. Lens distortion and refraction belong to the rig.
 
 mod blur;
 mod drag;
@@ -63,7 +65,7 @@ pub(crate) use wear::Worn;
 use crate::plan::{Bound, Effect, Facts, Switch};
 use crate::scene::{Gel, SceneError};
 
-/// The one list of effects: fields of [`Effects`] and of [`Switches`], and what is done with each of them.
+/// The single list of effects: generates the fields of [`Effects`] and [`Switches`], and their methods.
 macro_rules! effects {
     ($($(#[doc = $doc:literal])* $name:ident: $effect:ident,)*) => {
         /// Effects; `None` is off. An empty table (`[effects.shoulder]`) turns one on with its defaults.
@@ -78,22 +80,23 @@ macro_rules! effects {
         }
 
         impl Effects {
-            /// Checks the effects that are listed.
+            /// Checks the listed effects.
             ///
             /// # Errors
-            /// [`SceneError::Invalid`] naming the setting, [`SceneError::NoSuchMarker`], or [`SceneError::TwoModels`].
+            /// [`SceneError::Invalid`] naming the setting, [`SceneError::NoSuchMarker`], or
+            /// [`SceneError::TwoModels`].
             pub fn validate(&self, gel: &Gel) -> Result<(), SceneError> {
                 self.check_models()?;
                 self.listed().try_for_each(|(_, effect)| effect.validate(gel))
             }
 
-            /// The effects that are listed, with their names.
+            /// The listed effects with their names.
             pub(crate) fn listed(&self) -> impl Iterator<Item = (&'static str, &dyn Effect)> {
                 let all = [$((stringify!($name), self.$name.as_ref().map(|effect| effect as &dyn Effect)),)*];
                 all.into_iter().filter_map(|(name, effect)| Some((name, effect?)))
             }
 
-            /// Takes out those whose names are off.
+            /// Removes the effects whose names are off.
             pub(crate) fn remove(&mut self, off: &impl Fn(&str) -> bool) {
                 $(if off(stringify!($name)) {
                     self.$name = None;
@@ -101,8 +104,8 @@ macro_rules! effects {
             }
         }
 
-        /// How effects are switched, `[switches]` in a file: `{ grain = "off" }`. Without a word they are on, or auto
-        /// where the scene says what is asked of it.
+        /// Switches of the effects, `[switches]` in a file: `{ grain = "off" }`. Without a switch an
+        /// effect is on, or auto if the scene states its requirements (`asked`).
         #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
         #[cfg_attr(
             feature = "serde",
@@ -111,11 +114,11 @@ macro_rules! effects {
         )]
         pub struct Switches {
             $($(#[doc = $doc])* pub $name: Option<Switch>,)*
-            /// Layers before the markers bend light (`rig.layers`).
+            /// Refraction in the layers before the markers (`rig.layers`).
             pub refraction: Option<Switch>,
-            /// The lenses distort.
+            /// Distortion of the lenses.
             pub lens_distortion: Option<Switch>,
-            /// The image of a tilted disc has its centroid beside the image of the disc's centre.
+            /// The centroid of a tilted disc's image is offset from the image of its centre.
             pub ellipse_bias: Option<Switch>,
         }
 
@@ -127,7 +130,7 @@ macro_rules! effects {
                 [$((stringify!($name), self.$name),)*].into_iter().chain(own)
             }
 
-            /// An effect's switch, to be set; `None` when there is no effect of that name.
+            /// Mutable switch of an effect; `None` if no effect has that name.
             pub fn get_mut(&mut self, effect: &str) -> Option<&mut Option<Switch>> {
                 let own = [&mut self.refraction, &mut self.lens_distortion, &mut self.ellipse_bias];
                 let mut own = Optics::ALL.into_iter().map(Optics::name).zip(own);
@@ -137,7 +140,7 @@ macro_rules! effects {
                 }
             }
 
-            /// The switch of an effect; `None` when it is not touched.
+            /// The switch of an effect; `None` if it is not set.
             #[must_use]
             pub fn of(&self, effect: &str) -> Option<Switch> {
                 self.all().find(|&(name, _)| name == effect).and_then(|(_, switch)| switch)
@@ -186,7 +189,7 @@ effects! {
 }
 
 impl Effects {
-    /// The elastic layer does what three others approximate.
+    /// Rejects approximations listed with the elastic layer, and refinements listed without it.
     fn check_models(&self) -> Result<(), SceneError> {
         let approximations = [
             ("shoulder", self.shoulder.is_some()),
@@ -206,7 +209,7 @@ impl Effects {
         }
     }
 
-    /// Those that act on the gel, with their defaults: what a grasp looks like to a perfect camera.
+    /// The gel effects with their defaults: a grasp as a perfect camera sees it.
     #[must_use]
     pub fn of_gel() -> Self {
         Self {
@@ -218,13 +221,13 @@ impl Effects {
     }
 }
 
-/// A decay length that the lattice solver is made for.
+/// Checks that a decay length is within the lattice solver's range.
 fn check_decay(name: &'static str, thicknesses: f64) -> Result<(), SceneError> {
     let ok = (0.01..=4.0).contains(&thicknesses);
     SceneError::check(ok, name, thicknesses, "0.01 to 4 gel thicknesses")
 }
 
-/// The most that a refinement of the elastic layer changes: from anything that a layer may do to anything else.
+/// Upper bound of a refinement of the elastic layer: the full range of the layer's motion.
 fn within_layer(facts: &Facts<'_>) -> Bound {
     let Some(layer) = &facts.scene.effects.elastic_layer else { return Bound::NONE };
     facts.moved(2.0 * layer.sideways_mm(facts), 2.0 * facts.touch.depth_mm)

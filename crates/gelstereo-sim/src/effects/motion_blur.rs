@@ -1,17 +1,17 @@
-//! Blur of what moves while the shutter is open.
+//! Motion blur during the exposure.
 
 use crate::plan::{Bound, Effect, Facts};
 use crate::render::Shutter;
 use crate::scene::{Gel, SceneError};
 
-/// An image is the mean over the time that the shutter is open, half of it before the frame's time and half after it:
-/// dots that move are smeared along their way.
+/// Mean image over the exposure, half of it before the frame's time and half after it: moving dots are
+/// smeared along their path.
 ///
-/// Model: each dot keeps its shape and goes straight from where it is when the shutter opens to where it is when that
-/// closes, its place at the frame's time in the middle. So its image's centroid stays the one of the frame's time. A
-/// contact beside the trajectory moves as the trajectory's part does at that time. Limits: a way that bends within
-/// the exposure, of which the image would have another centroid by a 24th of acceleration times exposure squared;
-/// grain stands still, as it does in time.
+/// Model: each dot keeps its shape. It moves straight from its place when the shutter opens to its place
+/// when the shutter closes, with its place at the frame's time in the middle. Its image's centroid is
+/// therefore that of the frame's time. A contact off the trajectory moves as the trajectory's part does
+/// at that time. Limits: a curved path within the exposure would shift the centroid by a 24th of
+/// acceleration times exposure squared; grain is static.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(
     feature = "serde",
@@ -42,8 +42,9 @@ impl Effect for MotionBlur {
 
     fn bound(&self, facts: &Facts<'_>) -> Bound {
         let px = facts.passed_px(self.exposure_s);
-        // Along its way a dot enters a pixel by no more than it goes, and leaves it by no more: of the pixel, which is √2 wide
-        // at most, that is √2 d. The mean of it over d from 0 to half the way; of two dots, which is all that share a pixel.
+        // A dot that moves by d enters or leaves at most √2 d of a pixel's area (a pixel is at most √2
+        // wide). This is the mean over d from 0 to half the path, for two dots, the most that share a
+        // pixel.
         let share = px * core::f64::consts::FRAC_1_SQRT_2;
         Bound::of_levels(facts.contrast_levels() * share.min(1.0))
     }
@@ -57,7 +58,7 @@ impl Effect for MotionBlur {
             effects.drag.as_ref().map(|effect| effect.cost_ns(facts)),
         ];
         let field = 100.0 * facts.markers() + layer + beside.into_iter().flatten().sum::<f64>();
-        // Fields at both ends, and every dot as often as its way asks for.
+        // Fields at both ends of the exposure, and several copies of every dot depending on its path.
         let sigma_px = effects.defocus.as_ref().map(|defocus| defocus.sigma_px);
         let times = Shutter::times(facts.followed_px(self.exposure_s), sigma_px);
         2.0 * field + 2600.0 * facts.markers() * (times as f64 - 1.0)

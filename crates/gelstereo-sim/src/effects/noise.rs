@@ -9,9 +9,10 @@ use gelstereo_core::math::{erf, exp, random::Stream, sqrt};
 
 /// Gaussian noise of every pixel of every frame, independent of its brightness.
 ///
-/// The sum of two out of 4096 equally likely values each (the normal distribution's quantiles), which ends at 5.2 standard
-/// deviations. Eight pixels at a time take two runs of them, from places drawn at random; they are in an order in which
-/// those of a run are uncorrelated, and so are their squares. The 8-bit rounding that follows adds a variance of 1/12.
+/// Each value is the sum of two draws from 4096 equally likely values (quantiles of the normal
+/// distribution), limited to 5.2 standard deviations. Eight pixels at a time take two runs of values
+/// from random positions. The values are ordered so that those of a run are uncorrelated, and so are
+/// their squares. The 8-bit rounding that follows adds a variance of 1/12.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(
     feature = "serde",
@@ -50,20 +51,21 @@ impl Effect for SensorNoise {
 
 pub(super) const QUANTILES: usize = 4096;
 
-/// Pixels that take a run of quantiles together.
+/// Pixels that share a run of quantiles.
 pub(crate) const RUN: usize = 8;
 
-/// Standard deviation of each of two that add up to 1.
+/// Standard deviation of each of two values whose sum has 1.
 const HALF_SIGMA: f64 = core::f64::consts::FRAC_1_SQRT_2;
 
-/// Ready-made quantiles, in an order of which any run may be taken: the first ones follow the last.
+/// Precomputed quantiles, ordered so that a run may start anywhere; the first ones are repeated at the
+/// end.
 #[derive(Clone, Debug)]
 pub(crate) struct Noise {
     seed: u64,
     round: Box<[f32; QUANTILES + RUN]>,
 }
 
-/// The normal distribution's quantiles, scaled to that standard deviation.
+/// Quantiles of the normal distribution, scaled to this standard deviation.
 pub(super) fn quantiles_of(sigma: f64) -> Box<[f32; QUANTILES]> {
     let quantiles: Vec<f64> =
         (0..QUANTILES).map(|i| normal_quantile((i as f64 + 0.5) / QUANTILES as f64)).collect();
@@ -80,13 +82,13 @@ impl Noise {
         Self { seed, round: Box::new(core::array::from_fn(value)) }
     }
 
-    /// Of one view (by name) of one frame.
+    /// Random stream of one view (by name) of one frame.
     pub(crate) fn stream(&self, view: &str, frame: u64) -> Stream {
         let key = Digest::new().u64(self.seed).u64(frame).bytes(view.as_bytes()).value();
         Stream::new(key, "sensor_noise")
     }
 
-    /// The noise of the next two runs of pixels.
+    /// Noise of the next two runs of pixels.
     #[inline(always)]
     pub(crate) fn next(&self, stream: &mut Stream) -> [f32; 2 * RUN] {
         let places = stream.next_u64();
@@ -100,8 +102,8 @@ impl Noise {
     }
 }
 
-/// The same values in an order, round, in which those less than a run apart are uncorrelated, and so are their squares:
-/// shuffled, and then any two are exchanged as long as that makes the correlations smaller.
+/// Orders the values cyclically so that those less than a run apart are uncorrelated, and so are their
+/// squares: a shuffle, then random exchanges that reduce the correlations.
 fn uncorrelated(values: &[f32; QUANTILES]) -> Vec<f32> {
     const EXCHANGES: usize = 30_000;
     let mut order = values.to_vec();
@@ -111,13 +113,13 @@ fn uncorrelated(values: &[f32; QUANTILES]) -> Vec<f32> {
     }
     let mut found: [[f64; 2]; RUN - 1] = [[0.0; 2]; RUN - 1];
     for k in 0..QUANTILES {
-        add_products(&order, k, 0.5, &mut found); // each from both of its ends
+        add_products(&order, k, 0.5, &mut found); // each pair from both of its ends
     }
     let size = |found: &[[f64; 2]; RUN - 1]| found.as_flattened().iter().map(|sum| sum * sum).sum::<f64>();
     for _ in 0..EXCHANGES {
         let (i, j) = (stream.below(QUANTILES), stream.below(QUANTILES));
         if i.abs_diff(j) < RUN || i.abs_diff(j) > QUANTILES - RUN {
-            continue; // neighbours of each other
+            continue; // their terms overlap
         }
         let mut exchanged = found;
         [i, j].iter().for_each(|&k| add_products(&order, k, -1.0, &mut exchanged));
@@ -132,8 +134,8 @@ fn uncorrelated(values: &[f32; QUANTILES]) -> Vec<f32> {
     order
 }
 
-/// Adds so many times what a value contributes to the correlations at every distance: of values, and of their squares'
-/// excess over 1.
+/// Adds `times` the contribution of one value to the correlations at every distance: of the values, and
+/// of their squares' excess over 1.
 fn add_products(order: &[f32], k: usize, times: f64, sums: &mut [[f64; 2]; RUN - 1]) {
     let pair = |k: usize| {
         let value = f64::from(order[k % QUANTILES]);
@@ -148,8 +150,8 @@ fn add_products(order: &[f32], k: usize, times: f64, sums: &mut [[f64; 2]; RUN -
     }
 }
 
-/// Inverse of the standard normal distribution, by Newton's method from 0. The distribution function is concave
-/// above 0 and convex below, so the steps overshoot nowhere and always arrive.
+/// Inverse of the standard normal distribution function, by Newton's method from 0. The function is
+/// concave above 0 and convex below, so the steps never overshoot and always converge.
 fn normal_quantile(probability: f64) -> f64 {
     let mut x = 0.0;
     for _ in 0..64 {
@@ -168,7 +170,7 @@ fn normal_quantile(probability: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// A shuffle alone leaves 1 / sqrt(4096), 0.016: not to be seen in a million pixels is a thousandth.
+    /// A shuffle alone leaves 1 / sqrt(4096), 0.016. A thousandth is invisible in a million pixels.
     #[test]
     fn neighbours_in_a_run_are_uncorrelated_and_so_are_their_squares() {
         let order = uncorrelated(&quantiles_of(1.0));

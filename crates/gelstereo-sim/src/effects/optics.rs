@@ -1,4 +1,4 @@
-//! What the rig itself does to the dots' images.
+//! Effects of the rig on the dots' images.
 
 use crate::plan::{Bound, Facts, Switch};
 use crate::scene::Scene;
@@ -7,11 +7,11 @@ use gelstereo_core::camera::Camera;
 /// Effects that a scene has through its rig.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Optics {
-    /// Layers before the markers (`rig.layers`); without it light goes straight.
+    /// Refraction in the layers before the markers (`rig.layers`); off means straight rays.
     Refraction,
-    /// Distortion of the lenses; without it they have none.
+    /// Distortion of the lenses; off means none.
     LensDistortion,
-    /// The image of a disc has its centroid beside the image of the disc's centre; without it both are one.
+    /// Offset between the centroid of a disc's image and the image of the disc's centre; off means none.
     EllipseBias,
 }
 
@@ -26,7 +26,7 @@ impl Optics {
         }
     }
 
-    /// Whether a scene has it.
+    /// Whether a scene has this effect.
     pub(crate) fn is_in(self, scene: &Scene) -> bool {
         match self {
             Self::Refraction => scene.rig.layers.is_some(),
@@ -37,7 +37,7 @@ impl Optics {
         }
     }
 
-    /// Takes it out of a scene.
+    /// Removes this effect from a scene.
     pub(crate) fn remove(self, scene: &mut Scene) {
         match self {
             Self::Refraction => scene.rig.layers = None,
@@ -58,8 +58,8 @@ impl Optics {
         Bound { px, um: 0.0, levels: facts.levels_of_outlines(px) }
     }
 
-    /// As [`crate::plan::Effect::cost_ns`]. A dot's outline takes six projections instead of one with its derivatives when
-    /// its own bias is on.
+    /// As [`crate::plan::Effect::cost_ns`]. A dot's outline takes six projections with its ellipse bias,
+    /// or one with derivatives without it.
     pub(crate) fn cost_ns(self, facts: &Facts<'_>) -> f64 {
         let outlines = if facts.scene.switches.ellipse_bias == Some(Switch::Off) { 0.0 } else { 1.0 };
         let per_marker = match self {
@@ -83,10 +83,10 @@ fn distortion_px(facts: &Facts<'_>) -> f64 {
     facts.optics.f_px * moved(&cameras.left).max(moved(&cameras.right))
 }
 
-/// From the image of a dot's centre to its image's centroid, at most.
+/// Upper bound of the distance from the image of a dot's centre to its image's centroid.
 ///
-/// A pinhole's is f (v - slope v_z) / Z with v = -(a a_z + b b_z) / Z for a disc of radii a and b: it grows with their
-/// tilt. To that comes what lenses and layers bend.
+/// For a pinhole it is f (v - slope v_z) / Z with v = -(a a_z + b b_z) / Z for a disc of half axes a and
+/// b: it grows with their tilt. The distortion by lenses and layers is added.
 pub(crate) fn ellipse_bias_px(facts: &Facts<'_>) -> f64 {
     if facts.scene.switches.ellipse_bias == Some(Switch::Off) {
         return 0.0;
@@ -94,12 +94,12 @@ pub(crate) fn ellipse_bias_px(facts: &Facts<'_>) -> f64 {
     let optics = &facts.optics;
     let (widened, tilted) = (1.0 + facts.stretch, tilt(facts));
     let pinhole = core::f64::consts::SQRT_2 * widened * tilted + optics.slope * 2.0 * tilted * tilted;
-    // Layers bend like k1 = Σ d (n² - 1) / (2 n³) / Z; (n² - 1) / n³ is at most 0.385.
+    // Layers distort like k1 = Σ d (n² - 1) / (2 n³) / Z; (n² - 1) / n³ is at most 0.385.
     let layers = if facts.scene.rig.layers.is_some() { 0.385 * 0.5 * optics.slope } else { 0.0 };
     square_px(facts) * pinhole + bent_px(facts, layers) + lens_bias_px(facts)
 }
 
-/// What the lenses add to it. (The centroid of the image before the lens is distorted as any point is.)
+/// Contribution of the lenses. (The centroid of the image before the lens is distorted like any point.)
 fn lens_bias_px(facts: &Facts<'_>) -> f64 {
     if facts.scene.switches.ellipse_bias == Some(Switch::Off) {
         return 0.0;
@@ -113,8 +113,8 @@ fn lens_bias_px(facts: &Facts<'_>) -> f64 {
     bent_px(facts, bent(&rig.left).max(bent(&rig.right)))
 }
 
-/// What bends straight lines moves a disc's centroid by an eighth of the squared radius times its Laplacian (that of r² p
-/// is 8 p); twice that is taken for discs that are tilted and stretched.
+/// Distortion moves a disc's centroid by an eighth of the squared radius times the distortion's
+/// Laplacian (8 p for r² p). Twice that is used for tilted and stretched discs.
 fn bent_px(facts: &Facts<'_>, bent: f64) -> f64 {
     let larger = 1.0 + facts.stretch + tilt(facts);
     2.0 * square_px(facts) * bent * larger * larger
@@ -126,8 +126,8 @@ fn square_px(facts: &Facts<'_>) -> f64 {
     facts.optics.f_px * radius * radius
 }
 
-/// Rise of the surface from one neighbour to the next, against an image plane. Neighbours a pitch apart differ in height
-/// by no more than the part's steepness over their distance.
+/// Slope of the surface between neighbours, relative to an image plane. Neighbours a pitch apart differ
+/// in height by at most the part's steepness times their distance.
 fn tilt(facts: &Facts<'_>) -> f64 {
     let (touch, pitch_mm, widened) = (&facts.touch, facts.least_pitch_mm(), 1.0 + facts.stretch);
     let rise_mm = touch.depth_mm.min(touch.steepness * widened * pitch_mm);

@@ -1,16 +1,17 @@
-//! A gel that flows.
+//! Viscoelastic relaxation.
 
 use crate::layer::PronyTerm;
 use crate::plan::{Bound, Effect, Facts};
 use crate::scene::{Gel, SceneError};
 use alloc::vec::Vec;
 
-/// The elastic layer relaxes under load, and creeps back when it is let go: an imprint stays for a while.
+/// The elastic layer relaxes under load and creeps back after release: an imprint remains for a while.
 ///
-/// Model: linear viscoelasticity with one Poisson's ratio, as a Prony series (Christensen 1982); contacts are those of the
-/// trajectory, frame after frame from its start, during which the surface moves linearly. Where a part is held it changes
-/// nothing in the end: strains stay, tractions relax. It acts on [`super::ElasticLayer`] and needs it. A frame
-/// rendered out of order is reached by going through all before it.
+/// Model: linear viscoelasticity with one Poisson's ratio, as a Prony series (Christensen 1982).
+/// Contacts are those of the trajectory, frame by frame from its start; the surface moves linearly
+/// between frames. The final surface under a part that is held does not change: strains stay, tractions
+/// relax. It acts on [`super::ElasticLayer`] and needs it. A frame rendered out of order requires all
+/// frames before it.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(
     feature = "serde",
@@ -49,7 +50,7 @@ impl Effect for Relaxation {
     }
 
     fn cost_ns(&self, facts: &Facts<'_>) -> f64 {
-        // The surface of the frame before, cell by cell.
+        // Surface of the previous frame, cell by cell.
         super::cells_of_layer(facts) * (840.0 + 6.0 * self.terms.len() as f64)
     }
 

@@ -1,4 +1,4 @@
-//! Noise of the light itself.
+//! Photon shot noise.
 
 use super::noise::{QUANTILES, quantiles_of};
 use crate::plan::{Bound, Effect, Facts};
@@ -7,11 +7,11 @@ use alloc::boxed::Box;
 use gelstereo_core::digest::Digest;
 use gelstereo_core::math::{random::Stream, sqrt};
 
-/// Photons come one by one: noise of every pixel of every frame whose variance is in proportion to its level.
+/// Photon shot noise: noise of every pixel of every frame whose variance is proportional to its level.
 ///
-/// Level 255 is as many electrons as fit into a pixel, and as many levels' variance lie between 0 and it as numbers of
-/// Poisson's distribution have: 255 · level / `full_well_electrons` (EMVA 1288, its photon transfer). Limit: drawn from the normal
-/// distribution, which it is from some 20 electrons on.
+/// Level 255 is a full pixel. Electron counts are Poisson distributed, so the variance in levels is 255
+/// · level / `full_well_electrons` (EMVA 1288, photon transfer). Limit: drawn from the normal
+/// distribution, which is accurate from some 20 electrons on.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(
     feature = "serde",
@@ -34,7 +34,7 @@ impl ShotNoise {
         sqrt(255.0 * level / self.full_well_electrons)
     }
 
-    /// The largest noise at a level: that of the outermost of 4096 quantiles.
+    /// Largest noise at a level: that of the outermost of 4096 quantiles.
     pub(crate) fn most_levels(&self, level: f64) -> f64 {
         f64::from(quantiles_of(1.0)[QUANTILES - 1]) * self.sigma_levels(level)
     }
@@ -50,7 +50,7 @@ impl Effect for ShotNoise {
     fn bound(&self, facts: &Facts<'_>) -> Bound {
         let brightest =
             if facts.scene.effects.smears.is_some() { 255.0 } else { facts.levels()[1].clamp(0.0, 255.0) };
-        // Half a level more, since levels are looked up in a table.
+        // Half a level more because the noise is looked up by rounded level.
         Bound::of_levels(self.most_levels(brightest + 0.5))
     }
 
@@ -59,7 +59,7 @@ impl Effect for ShotNoise {
     }
 }
 
-/// Ready-made numbers.
+/// Precomputed tables.
 #[derive(Clone, Debug)]
 pub(crate) struct Shots {
     seed: u64,
@@ -78,12 +78,12 @@ impl Shots {
         }
     }
 
-    /// Of one view (by name) of one frame.
+    /// Random stream of one view (by name) of one frame.
     pub(crate) fn stream(&self, view: &str, frame: u64) -> Stream {
         Stream::new(Digest::new().u64(self.seed).u64(frame).bytes(view.as_bytes()).value(), "shot_noise")
     }
 
-    /// Adds the noise of the next row.
+    /// Adds noise to the next row.
     pub(crate) fn add(&self, stream: &mut Stream, row: &mut [f32]) {
         for pixels in row.chunks_mut(5) {
             let mut bits = stream.next_u64();

@@ -1,4 +1,4 @@
-//! The soft shoulder beside a contact.
+//! Soft shoulder beside a contact.
 
 use super::check_decay;
 use crate::lattice::Lattice;
@@ -9,12 +9,12 @@ use alloc::vec::Vec;
 
 /// The gel sags softly beside the contact instead of ending at the part's silhouette.
 ///
-/// Model: a Pasternak foundation (springs joined by a shear layer; Pasternak 1954), h - l² Δh = p / k with
-/// pressure p >= 0 only where the part touches: an obstacle problem, solved on the marker lattice. The surface
-/// is never below the part, meets it without a kink, decays as exp(-d / l) beside it, and the contact is
-/// smaller than the part's silhouette in the rest plane, as in Hertz's theory. Limits: no bulge beside the
-/// contact (60 um for a 1 mm press on an incompressible layer), small strain, and a contact that is resolved to
-/// one pitch only.
+/// Model: a Pasternak foundation (springs joined by a shear layer; Pasternak 1954), h - l² Δh = p / k
+/// with pressure p >= 0 only in contact: an obstacle problem, solved on the marker lattice. The surface
+/// is never below the part, meets it without a kink, and decays as exp(-d / l) beside it. The contact is
+/// smaller than the part's silhouette in the rest plane, as in Hertz's theory. Limits: no bulge beside
+/// the contact (60 um for a 1 mm press on an incompressible layer); small strain; the contact is
+/// resolved to one pitch only.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(
     feature = "serde",
@@ -42,8 +42,8 @@ impl Effect for Shoulder {
     fn bound(&self, facts: &Facts<'_>) -> Bound {
         let sideways_mm = facts.when_contact_changes_mm();
         let depth_mm = facts.touch.depth_mm;
-        // Beside the contact h is l² / (1 + n l²) times the sum of its n <= 4 neighbours, none of which is above the part's
-        // deepest point; in the contact it is the part's height.
+        // Beside the contact h is l² / (1 + n l²) times the sum of its n <= 4 neighbours, none above the
+        // part's deepest point. In contact it is the part's height.
         let reach = self.decay_thicknesses * facts.scene.gel.thickness_mm / facts.scene.gel.pitch_mm;
         let share = 4.0 * reach * reach / (1.0 + 4.0 * reach * reach);
         facts.moved(sideways_mm, if sideways_mm > 0.0 { depth_mm } else { share * depth_mm })
@@ -64,8 +64,8 @@ impl Sag {
         Self(Screened::new(lattice, shoulder.decay_thicknesses * lattice.thickness_mm))
     }
 
-    /// Heights of the settled surface over the part's heights (`obstacle`, negative where it does not
-    /// protrude).
+    /// Equilibrium heights of the surface over the part's heights (`obstacle`, negative where the part
+    /// does not protrude).
     pub(crate) fn settle(&mut self, obstacle: &[f64], out: &mut Vec<f64>) {
         let Self(membrane) = self;
         membrane.start(|i| obstacle[i].max(0.0));

@@ -1,4 +1,4 @@
-//! Patches that hide markers for a while.
+//! Patches that temporarily hide markers.
 
 use crate::plan::{Bound, Effect, Facts};
 use crate::render::Ellipse;
@@ -8,10 +8,12 @@ use gelstereo_core::camera::Camera;
 use gelstereo_core::digest::Digest;
 use gelstereo_core::math::{DVec2, ceil, cos, floor, random::Stream, sin, sqrt};
 
-/// Streaks of reflected light, and dirt: soft-edged bright or dark ellipses on the image that come and go.
+/// Streaks of reflected light, and dirt: soft-edged bright or dark ellipses on the image that come and
+/// go.
 ///
-/// In a file: `[effects.smears] random = 4`, or patches one by one: `[[effects.smears.patches]] centre_px = [320,
-/// 240]`. Limit: a patch stands still in the image while it lasts, and its rim does not depend on the scene.
+/// In a file: `[effects.smears] random = 4`, or patches one by one: `[[effects.smears.patches]]
+/// centre_px = [320, 240]`. Limit: a patch is static in the image while it lasts, and its rim does not
+/// depend on the scene.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(
     feature = "serde",
@@ -60,13 +62,13 @@ impl Effect for Smears {
             opacity * (f64::from(level) - low).abs().max((f64::from(level) - high).abs())
         };
         let drawn = if self.random > 0 { most(0, 1.0).max(most(255, 1.0)) } else { 0.0 };
-        // Where patches overlap, each takes its share of what is left.
+        // Overlapping patches each cover their share of what is still visible.
         let listed = self.patches.iter().map(|patch| most(patch.level, patch.opacity)).fold(0.0, f64::max);
         Bound::of_levels(drawn.max(listed))
     }
 
     fn cost_ns(&self, facts: &Facts<'_>) -> f64 {
-        // Of both views, a random patch being in one of them.
+        // Both views; a random patch is in one of them.
         let area_px = |[a, b]: [f64; 2]| 4.0 * a * b;
         let listed: f64 = self.patches.iter().map(|patch| 2.0 * area_px(patch.half_size_px)).sum();
         let drawn = 2.0 * self.random as f64 * area_px(self.half_size_px);
@@ -131,7 +133,7 @@ pub enum Views {
     Both,
 }
 
-/// More patches than any gel bears would only cost time.
+/// Limits the run time; no real gel has more patches.
 const MOST: usize = 1000;
 
 fn check_size(name: &'static str, size: [f64; 2]) -> Result<(), SceneError> {
@@ -176,7 +178,7 @@ impl Patch {
 #[derive(Clone, Debug)]
 pub(crate) struct SmearsOfView(Vec<Ready>);
 
-/// A patch with its direction worked out.
+/// A patch with its precomputed direction.
 #[derive(Clone, Debug)]
 struct Ready {
     patch: Patch,
@@ -209,7 +211,7 @@ impl SmearsOfView {
         self.0.iter().filter(move |ready| (ready.patch.from_s..ready.patch.until_s).contains(&time_s))
     }
 
-    /// Lays the patches that are there at that time over a row of the view, in their order.
+    /// Blends the patches present at that time over a row of the view, in their order.
     pub(crate) fn apply(&self, time_s: f64, y: usize, row: &mut [f32]) {
         for ready in self.present(time_s) {
             let reach = ready.reach_px();
@@ -225,8 +227,8 @@ impl SmearsOfView {
         }
     }
 
-    /// Whether a patch comes near enough to touch the dot: the box around the patch, widened by the dot's reach and its border pixels, holds
-    /// the dot's centre. (The widened ellipse would miss dots beside a thin patch.)
+    /// Whether a patch may touch the dot: the dot's centre lies in the box around a patch, widened by
+    /// the dot's reach and its border pixels. (A widened ellipse would miss dots beside a thin patch.)
     pub(crate) fn reach(&self, outline: &Ellipse, time_s: f64) -> bool {
         let more = outline.reach_px().max_element() + 1.0;
         self.present(time_s).any(|ready| {
@@ -237,14 +239,14 @@ impl SmearsOfView {
 }
 
 impl Ready {
-    /// Half the size of the box around it.
+    /// Half the size of the patch's bounding box.
     fn reach_px(&self) -> DVec2 {
         let [a, b] = self.patch.half_size_px;
         let along = |c: f64, s: f64| sqrt(a * a * c * c + b * b * s * s);
         DVec2::new(along(self.axis.x, self.axis.y), along(self.axis.y, self.axis.x))
     }
 
-    /// A pixel's distances from its centre along its length and its width, px.
+    /// A pixel's offsets from the patch's centre along its length and its width, px.
     fn offset(&self, at: DVec2) -> DVec2 {
         let from = at - self.centre;
         DVec2::new(from.dot(self.axis), self.axis.perp_dot(from))

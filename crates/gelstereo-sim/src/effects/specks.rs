@@ -7,10 +7,11 @@ use alloc::vec::Vec;
 use gelstereo_core::digest::Digest;
 use gelstereo_core::math::{DVec2, DVec3, random::Stream};
 
-/// Round specks between the dots, as dark as they are: dust that stays where it is on the gel and moves with it.
+/// Round specks of dust between the dots, as dark as the dots. They are fixed to the gel and move with
+/// it.
 ///
-/// In a file: `[effects.specks] count = 8`. Each lies near the middle of a cell of the lattice, so that it touches no
-/// dot of ordinary size.
+/// In a file: `[effects.specks] count = 8`. Each lies near the middle of a lattice cell, so it touches
+/// no dot of ordinary size.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(
     feature = "serde",
@@ -50,17 +51,17 @@ impl Effect for Specks {
     }
 }
 
-/// Where a speck lies on the gel.
+/// A speck's place on the gel.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Speck {
     /// The marker at the upper left of its cell.
     corner: usize,
-    /// From that marker along the row and along the column, in pitches.
+    /// Offset from that marker along the row and along the column, in pitches.
     within: DVec2,
     radius_mm: f64,
 }
 
-/// How far from its cell's middle a speck lies at most, in pitches and along each axis.
+/// Largest distance of a speck from its cell's middle, in pitches along each axis.
 const OFF_MIDDLE: f64 = 0.12;
 
 impl Speck {

@@ -8,14 +8,15 @@ use crate::scene::{Gel, SceneError};
 use alloc::vec::Vec;
 use gelstereo_core::math::{DVec2, exp};
 
-/// Gel that a part displaces moves sideways, away from the contact.
+/// Gel displaced by a part moves sideways, away from the contact.
 ///
-/// Model: the frictionless, incompressible layer bonded to its plate, whose surface moves sideways by 2x² /
-/// (sinh 2x - 2x) of its height at wave number k = x / t (thickness t). That ratio is replaced by (3/2) x /
-/// ((x² + 1/decay²) (1 + 0.3 x²)): the same 3 / (2x) at long waves (the displaced volume flows below a free
-/// surface) and within 8 % up to x = 2, cut off where the gel's compressibility takes the volume up. In space
-/// these are two screened membranes and a gradient. Limits: no friction, which holds the surface back within
-/// the contact (`strength` does so everywhere); small strain; free sides of the lattice do not bulge.
+/// Model: the frictionless, incompressible layer bonded to its plate, whose surface moves sideways by
+/// 2x² / (sinh 2x - 2x) of its height at wave number k = x / t (thickness t). That ratio is replaced by
+/// (3/2) x / ((x² + 1/decay²) (1 + 0.3 x²)). Both are 3 / (2x) at long waves (the displaced volume flows
+/// below a free surface), and they agree within 8 % up to x = 2. The cut-off models the volume taken up
+/// by the gel's compressibility. In space these are two screened membranes and a gradient. Limits: no
+/// friction, which would hold the surface back within the contact (`strength` does so everywhere); small
+/// strain; free sides of the lattice do not bulge.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(
     feature = "serde",
@@ -32,7 +33,7 @@ pub struct Spread {
     pub decay_thicknesses: f64,
 }
 
-/// Length of the membrane of (1 + 0.3 x²), in gel thicknesses: sqrt(0.3).
+/// Membrane length for the factor (1 + 0.3 x²), in gel thicknesses: sqrt(0.3).
 const SMOOTHING: f64 = 0.547_722_557_505_166_1;
 
 impl Default for Spread {
@@ -54,18 +55,19 @@ impl Effect for Spread {
     }
 
     fn cost_ns(&self, facts: &Facts<'_>) -> f64 {
-        // Four products of matrices, two numbers at once.
+        // Four matrix products, two numbers at once.
         let gel = &facts.scene.gel;
         facts.markers() * (60.0 + 1.7 * (gel.rows + gel.cols) as f64)
     }
 
-    /// The gradient of p under heights between 0 and the part's depth. Summed across its direction, the two membranes'
-    /// kernel is g(x) = (l e^(-x/l) - s e^(-x/s)) / (2 (l² - s²)): heights all on one side, over a width w, give depth
-    /// (g(0) - g(w)). A free border mirrors them, which doubles the width. A tenth more for the lattice's directions.
+    /// The gradient of p under heights between 0 and the part's depth. Integrated across its direction,
+    /// the two membranes' kernel is g(x) = (l e^(-x/l) - s e^(-x/s)) / (2 (l² - s²)). Heights all on one
+    /// side, over a width w, give depth (g(0) - g(w)). A free border mirrors them, which doubles the
+    /// width. A tenth is added for the lattice's directions.
     fn sideways_mm(&self, facts: &Facts<'_>) -> f64 {
         let thickness_mm = facts.scene.gel.thickness_mm;
         let (long, short) = (self.decay_thicknesses * thickness_mm, SMOOTHING * thickness_mm);
-        // Equal lengths would divide by 0; a longer one only widens the bound.
+        // Avoids a division by 0 for equal lengths; a longer one only widens the bound.
         let long = if (long - short).abs() < 0.01 * short { 1.01 * short } else { long };
         let kernel = |x: f64| {
             let tails = long * exp(-x / long) - short * exp(-x / short);
@@ -75,7 +77,8 @@ impl Effect for Spread {
         1.1 * self.strength * 1.5 / thickness_mm * long * long * gradient
     }
 
-    /// p / l² - Δp = s leaves Δp between -s and p / l²; a second derivative may be twice that where s is smooth.
+    /// With p / l² - Δp = s, Δp lies between -s and p / l²; a second derivative may be twice that where
+    /// s is smooth.
     fn stretch(&self, facts: &Facts<'_>) -> f64 {
         let steps = 2.0 * self.sideways_mm(facts) / facts.least_pitch_mm();
         steps.min(2.0 * self.strength * 1.5 / facts.scene.gel.thickness_mm * facts.touch.depth_mm)
@@ -95,12 +98,12 @@ impl Spreading {
         let thickness_mm = lattice.thickness_mm;
         let length_mm = spread.decay_thicknesses * thickness_mm;
         let lengths = [SMOOTHING * thickness_mm, length_mm].map(|mm| mm / lattice.pitch_mm);
-        // p / l² - Δp = smooth is solved for p / l².
+        // The membranes solve p / l² - Δp = smooth for p / l².
         let scale = -spread.strength * 1.5 / thickness_mm * length_mm * length_mm;
         Self { membranes: Membranes::new([lattice.rows, lattice.cols], &lengths), scale }
     }
 
-    /// Adds the sideways motion under these heights; the two fields are scratch.
+    /// Adds the sideways motion under these heights; the two vectors are scratch.
     pub(crate) fn push(
         &self,
         lattice: &Lattice,
@@ -124,13 +127,14 @@ mod tests {
     use core::f64::consts::{E, PI};
     use gelstereo_core::math::{cos, pow};
 
-    /// The whole chain on one cosine, which the lattice keeps: its transfer at wave number k against the
-    /// layer's.
+    /// The whole chain on one cosine, an eigenfunction of the lattice: its transfer at wave number k
+    /// against the layer's.
     #[test]
     fn a_cosine_spreads_as_on_the_incompressible_layer() {
         let gel = Gel { rows: 2, cols: 160, pitch_mm: 0.25, ..Gel::default() };
         let lattice = Lattice::new(&gel);
-        // Half waves over 40 mm; x = k t is 0.79 to 1.96. The screen at 4 thicknesses takes 1/16 off x² = 0.6.
+        // Half waves over 40 mm; x = k t is 0.79 to 1.96. The screening at 4 thicknesses adds 1/16 to x²
+        // = 0.6.
         let spread = Spread { strength: 1.0, decay_thicknesses: 4.0 };
         for half_waves in [2.0, 3.0, 5.0] {
             let k = half_waves * PI / 40.0;

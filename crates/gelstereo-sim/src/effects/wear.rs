@@ -1,4 +1,4 @@
-//! Dots that are rubbed off.
+//! Worn dots.
 
 use crate::plan::{Bound, Effect, Facts};
 use crate::scene::{Gel, SceneError};
@@ -6,11 +6,11 @@ use alloc::vec::Vec;
 use gelstereo_core::digest::Digest;
 use gelstereo_core::math::random::Stream;
 
-/// Dots that get smaller the longer the gel is in use, from their rims inwards, some sooner than others.
+/// Dots shrink from their rims with use, some faster than others.
 ///
-/// A dot's radius is that which was printed times 1 - u (`share` + `share_per_s` · time), at least a hundredth, with the
-/// dot's own u evenly between 1 - `uneven_share` and 1 + `uneven_share`. Limit: every dot stays round and as dark as it was,
-/// and wear goes by the clock, not by what touches the dot.
+/// A dot's radius is the printed one times 1 - u (`share` + `share_per_s` · time), at least a hundredth.
+/// The dot's own u is uniform between 1 - `uneven_share` and 1 + `uneven_share`. Limit: every dot stays
+/// round and equally dark, and wear depends on time, not on contacts.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(
     feature = "serde",
@@ -32,11 +32,12 @@ impl Default for Wear {
     }
 }
 
-/// What is left of a radius at least: a speck of a ten thousandth of the area, which keeps its direction.
+/// Least remaining share of a radius: a ten thousandth of the area, large enough to keep the outline's
+/// directions.
 const LEAST: f64 = 0.01;
 
 impl Wear {
-    /// What is left of the radius of a dot that wears `pace` times as fast as usual.
+    /// Remaining share of the radius of a dot that wears `pace` times as fast as average.
     fn left(&self, pace: f64, time_s: f64) -> f64 {
         (1.0 - pace * (self.share + self.share_per_s * time_s.max(0.0))).max(LEAST)
     }
@@ -53,7 +54,7 @@ impl Effect for Wear {
     }
 
     fn bound(&self, facts: &Facts<'_>) -> Bound {
-        // Without an end of time a dot may be worn off.
+        // Wear at the trajectory's end, or at time 0 without a trajectory.
         let scene = facts.scene;
         let end_s =
             if self.share_per_s > 0.0 { crate::trajectory::Trajectory::new(scene).span_s()[1] } else { 0.0 };
@@ -71,7 +72,7 @@ impl Effect for Wear {
     }
 }
 
-/// How fast every dot wears.
+/// Rate of wear of every dot.
 #[derive(Clone, Debug)]
 pub(crate) struct Worn {
     wear: Wear,
@@ -85,7 +86,7 @@ impl Worn {
         Self { pace: pace.collect(), wear: wear.clone() }
     }
 
-    /// A dot's radius over the one that was printed.
+    /// A dot's radius over the printed one.
     pub(crate) fn radius(&self, marker: usize, time_s: f64) -> f64 {
         self.wear.left(self.pace[marker], time_s)
     }

@@ -1,13 +1,14 @@
-//! Contacts with a half-space that are solved in closed form.
+//! Half-space contacts with closed-form solutions.
 //!
-//! A layer much thicker than a contact is wide behaves so near the contact; markers lie too far from it for that, so these are
-//! references and quick estimates. Tractions are in units of Young's modulus, forces in those of Young's modulus
-//! times mm². Equations: K. L. Johnson, Contact Mechanics (1985), chapters 3, 4, 5 and 7.
+//! Near a contact, a layer behaves as a half-space if it is much thicker than the contact is wide.
+//! Markers are too far from the contact for that, so these solutions are references and quick estimates.
+//! Tractions are in units of Young's modulus, and forces in Young's modulus times mm². Equations: K. L.
+//! Johnson, Contact Mechanics (1985), chapters 3, 4, 5 and 7.
 
 use core::f64::consts::PI;
 use gelstereo_core::math::{DVec2, asin, cbrt, sqrt};
 
-/// A half-space by its Poisson's ratio.
+/// A half-space with its Poisson's ratio.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HalfSpace {
     /// Poisson's ratio, 0 to 0.5.
@@ -27,13 +28,15 @@ impl HalfSpace {
         0.5 / (1.0 + self.poisson_ratio)
     }
 
-    /// Motion under a unit force into the surface, at distance `r_mm` > 0: into it and outwards (Boussinesq).
+    /// Motion under a unit force into the surface at distance `r_mm` > 0: into the surface and outwards
+    /// (Boussinesq).
     #[must_use]
     pub fn boussinesq_mm(&self, r_mm: f64) -> [f64; 2] {
         [1.0 / (PI * self.plane_modulus() * r_mm), self.outwards(1.0, r_mm)]
     }
 
-    /// Motion under a unit force along x, at `at_mm` from it: along x, along y and into the surface (Cerruti).
+    /// Motion under a unit force along x, at offset `at_mm` from it: along x, along y and into the
+    /// surface (Cerruti).
     #[must_use]
     pub fn cerruti_mm(&self, at_mm: DVec2) -> [f64; 3] {
         let (nu, r) = (self.poisson_ratio, at_mm.length());
@@ -45,7 +48,8 @@ impl HalfSpace {
         ]
     }
 
-    /// Motion outwards at a distance, of an axially symmetric load of which `force` lies within it.
+    /// Outward motion at a distance from an axially symmetric load, with `force` acting within that
+    /// distance.
     fn outwards(&self, force: f64, r_mm: f64) -> f64 {
         let nu = self.poisson_ratio;
         -(1.0 + nu) * (1.0 - 2.0 * nu) * force / (2.0 * PI * r_mm)
@@ -55,16 +59,16 @@ impl HalfSpace {
 /// A ball pressed into a half-space (Hertz).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hertz {
-    /// What it is pressed into.
+    /// The half-space.
     pub half_space: HalfSpace,
     /// The ball's radius, mm.
     pub radius_mm: f64,
-    /// How deep it is pressed, mm.
+    /// Indentation depth, mm.
     pub depth_mm: f64,
 }
 
 impl Hertz {
-    /// Radius of the contact.
+    /// Radius of the contact, mm.
     #[must_use]
     pub fn contact_mm(&self) -> f64 {
         sqrt(self.radius_mm * self.depth_mm)
@@ -83,7 +87,7 @@ impl Hertz {
         1.5 * self.force_mm2() / (PI * a * a) * sqrt((1.0 - r_mm * r_mm / (a * a)).max(0.0))
     }
 
-    /// Motion of the surface there: into it and outwards.
+    /// Motion of the surface at a distance from the axis, mm: into the surface and outwards.
     #[must_use]
     pub fn surface_mm(&self, r_mm: f64) -> [f64; 2] {
         let (a, r) = (self.contact_mm(), r_mm);
@@ -98,23 +102,24 @@ impl Hertz {
     }
 }
 
-/// A rigid flat cylinder pressed end on into a half-space without friction, or twisted on it while it sticks.
+/// A rigid flat cylinder pressed end on into a half-space without friction, or twisted on it while
+/// sticking.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FlatPunch {
-    /// What it is pressed into.
+    /// The half-space.
     pub half_space: HalfSpace,
     /// The cylinder's radius, mm.
     pub radius_mm: f64,
 }
 
 impl FlatPunch {
-    /// Force for a depth of 1 mm, over Young's modulus, mm² per mm.
+    /// Force per mm of depth, over Young's modulus, mm² per mm.
     #[must_use]
     pub fn stiffness_mm(&self) -> f64 {
         2.0 * self.half_space.plane_modulus() * self.radius_mm
     }
 
-    /// Motion of the surface at a distance from the axis for a depth of 1 mm: into it and outwards.
+    /// Motion of the surface at a distance from the axis per mm of depth: into the surface and outwards.
     #[must_use]
     pub fn surface_per_mm(&self, r_mm: f64) -> [f64; 2] {
         let (a, r) = (self.radius_mm, r_mm);
@@ -123,14 +128,14 @@ impl FlatPunch {
         [if r <= a { 1.0 } else { 2.0 / PI * asin(a / r) }, aside]
     }
 
-    /// Torque for a turn of 1 rad, over Young's modulus, mm³ (Reissner and Sagoci).
+    /// Torque per rad of twist, over Young's modulus, mm³ (Reissner and Sagoci).
     #[must_use]
     pub fn torque_mm3(&self) -> f64 {
         let a = self.radius_mm;
         16.0 / 3.0 * self.half_space.shear_modulus() * a * a * a
     }
 
-    /// Motion of the surface about the axis for a turn of 1 rad.
+    /// Motion of the surface about the axis per rad of twist.
     #[must_use]
     pub fn twisted_mm(&self, r_mm: f64) -> f64 {
         let (a, r) = (self.radius_mm, r_mm);
@@ -138,8 +143,9 @@ impl FlatPunch {
     }
 }
 
-/// A ball that is pressed and then pulled aside, less than it takes to slip everywhere (Cattaneo; Mindlin). It neglects
-/// that slip is not everywhere along the pull, which costs nothing at ν = 0 and little else.
+/// A ball that is pressed and then pulled aside by less than full slip (Cattaneo; Mindlin). The solution
+/// neglects that slip is not parallel to the pull everywhere. This is exact at ν = 0 and a small error
+/// otherwise.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CattaneoMindlin {
     /// The ball, pressed.
@@ -151,7 +157,7 @@ pub struct CattaneoMindlin {
 }
 
 impl CattaneoMindlin {
-    /// The shift that it takes to slip everywhere.
+    /// Shift at full slip.
     #[must_use]
     pub fn slip_mm(&self) -> f64 {
         let HalfSpace { poisson_ratio } = self.hertz.half_space;
@@ -159,7 +165,7 @@ impl CattaneoMindlin {
         3.0 * (2.0 - poisson_ratio) * self.friction * self.hertz.force_mm2() / (16.0 * g * a)
     }
 
-    /// Radius within which the ball sticks; 0 when it slips everywhere.
+    /// Radius of the sticking zone; 0 at full slip.
     #[must_use]
     pub fn stuck_mm(&self) -> f64 {
         self.hertz.contact_mm() * sqrt((1.0 - self.shift_mm / self.slip_mm()).max(0.0))
@@ -181,7 +187,7 @@ impl CattaneoMindlin {
         self.friction * self.hertz.force_mm2() * (1.0 - share * share * share)
     }
 
-    /// The shift that a force along x belongs to, in units of the ball's friction: the inverse of [`Self::force_mm2`].
+    /// Shift for a force along x: the inverse of [`Self::force_mm2`].
     #[must_use]
     pub fn shift_of_force_mm(&self, force_mm2: f64) -> f64 {
         let share = (1.0 - force_mm2 / (self.friction * self.hertz.force_mm2())).max(0.0);

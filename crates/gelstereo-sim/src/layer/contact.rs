@@ -1,34 +1,35 @@
-//! Contact without adhesion: a rigid part on the layer.
+//! Contact without adhesion between a rigid part and the layer.
 //!
-//! Where the part presses, the surface lies on it; elsewhere it lies below it and carries nothing. The pressures are those
-//! p >= 0 that make ½ p·Kp - p·g least, K being the compliance and g the part's height above the undeformed surface. They
-//! are found by modified proportioning with reduced gradient projections (Dostál and Schöberl 2005): conjugate gradients
-//! while the contact stays as it is, projections when it changes; its convergence is proven, and one product with K is
-//! enough for a step of conjugate gradients. Within a contact the gradients are preconditioned by the middle of the inverse
+//! Where the part presses, the surface lies on it; elsewhere the surface lies below it and carries no
+//! pressure. The pressures p >= 0 minimise ½ p·Kp - p·g, where K is the compliance and g the part's
+//! height above the undeformed surface. The solver is modified proportioning with reduced gradient
+//! projections (Dostál and Schöberl 2005). It uses conjugate gradients while the contact set is
+//! constant, and projections when it changes. Convergence is proven, and a conjugate gradient step costs
+//! one product with K. Within a contact, the gradients are preconditioned by the centre of the inverse
 //! kernel.
 
 use super::operator::{Operator, Scratch};
 use alloc::vec::Vec;
 use gelstereo_core::stop::Stop;
 
-/// How a solve ended.
+/// Outcome of a solve.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Convergence {
     /// Whether the residual fell below the tolerance.
     pub converged: bool,
     /// Products with the compliance.
     pub products: usize,
-    /// Largest distance between part and surface where they touch, or overlap where they do not, mm.
+    /// Largest distance between part and surface in contact, or overlap out of contact, mm.
     pub residual_mm: f64,
 }
 
-/// Products after which a solve gives up: ten times what the hardest of the tests takes.
+/// Products after which a solve gives up: ten times the maximum of the tests.
 const MAX_PRODUCTS: usize = 1000;
 
-/// Fields over a window, kept from solve to solve.
+/// Fields over a window, kept between solves.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Pressing {
-    /// Kp - g: how far the surface lies below the part.
+    /// Kp - g: depth of the surface below the part.
     gap: Vec<f64>,
     free: Vec<f64>,
     descent: Vec<f64>,
@@ -38,8 +39,8 @@ pub(crate) struct Pressing {
 }
 
 impl Pressing {
-    /// Pressures over the window under a part of these heights (negative infinity where there is none), starting from
-    /// `pressure`.
+    /// Solves for the pressures over the window under a part of these heights (negative infinity where
+    /// there is none), starting from `pressure`.
     pub(crate) fn solve(
         &mut self,
         operator: &Operator,
@@ -68,8 +69,8 @@ impl Pressing {
         found
     }
 
-    /// The gradient's square over what is free, its product with the reduced one, the square over what is chopped, and the
-    /// largest of both.
+    /// Squared norm of the free gradient, its product with the reduced gradient, squared norm of the
+    /// chopped gradient, and the largest entry of the free and chopped ones.
     fn measure(&self, pressure: &[f64], expansion: f64) -> [f64; 4] {
         let [mut free, mut reduced, mut chopped, mut largest] = [0.0, 0.0, 0.0, 0.0_f64];
         for (&gap, &p) in self.gap.iter().zip(pressure) {
@@ -85,8 +86,8 @@ impl Pressing {
         [free, reduced, chopped, largest]
     }
 
-    /// A step of conjugate gradients within the contact; where it would make a pressure negative, up to there and a projected
-    /// step of the gradient.
+    /// Conjugate gradient step within the contact. If it would make a pressure negative, it stops there
+    /// and takes a projected gradient step. Returns the number of products.
     fn conjugate(
         &mut self,
         operator: &Operator,
@@ -106,7 +107,7 @@ impl Pressing {
         if step <= feasible {
             self.advance(step, pressure);
             self.precondition(operator, pressure);
-            // Only free cells have a descent; the product is that of the old direction.
+            // Only free cells have a descent; the product belongs to the old direction.
             let turn = dot(&self.descent, &self.product) / along;
             self.direction.iter_mut().zip(&self.descent).for_each(|(d, z)| *d = z - turn * *d);
             return 1;
@@ -123,7 +124,7 @@ impl Pressing {
         2
     }
 
-    /// A step that lets in the cells that the part has run into.
+    /// Step that adds the overlapping cells to the contact. Returns the number of products.
     fn release(&mut self, operator: &Operator, pressure: &mut [f64]) -> usize {
         for ((d, &gap), &p) in self.direction.iter_mut().zip(&self.gap).zip(&*pressure) {
             *d = if p > 0.0 { 0.0 } else { gap.min(0.0) };
@@ -140,13 +141,14 @@ impl Pressing {
         self.gap.iter_mut().zip(&self.product).for_each(|(gap, k)| *gap -= step * k);
     }
 
-    /// Conjugate gradients from here.
+    /// Restarts the conjugate gradients from here.
     fn restart(&mut self, operator: &Operator, pressure: &[f64]) {
         self.precondition(operator, pressure);
         self.direction.clone_from(&self.descent);
     }
 
-    /// The gradient over what is free, and that times about the inverse of the compliance.
+    /// Gradient over the free cells, and its preconditioned form (approximate inverse of the
+    /// compliance).
     fn precondition(&mut self, operator: &Operator, pressure: &[f64]) {
         let (rows, cols) = (operator.plane.rows, operator.plane.cols);
         self.free.clear();
@@ -179,7 +181,7 @@ fn beside(out: &mut [f64], row: &[f64], weight: f64) {
 }
 
 pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
-    // Four sums, which wait less for each other than one.
+    // Four independent sums shorten the dependency chain.
     let mut sums = [0.0; 4];
     let (mut fours, mut others) = (a.chunks_exact(4), b.chunks_exact(4));
     for (a, b) in fours.by_ref().zip(others.by_ref()) {

@@ -1,18 +1,18 @@
-//! What can be wrong with a layer, a grid or what is asked of them.
+//! Errors of a layer, a grid or their inputs.
 
 /// Why a contact cannot be solved.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum LayerError {
     /// A number is outside its range.
     Invalid {
-        /// Its name.
+        /// Name of the parameter.
         name: &'static str,
-        /// What was found.
+        /// Value found.
         found: f64,
-        /// What would be valid.
+        /// Valid values.
         valid: &'static str,
     },
-    /// A field has another number of cells than the grid.
+    /// A field and the grid have different numbers of cells.
     Cells {
         /// Numbers found.
         found: usize,

@@ -1,9 +1,9 @@
 //! Fourier transforms of real fields padded to twice their sides, for convolution.
 //!
-//! Every one-dimensional transform runs over the slow index of an array while the fast one counts independent
-//! signals, so that its inner loops are plain and contiguous. Frequencies stay in the order in which a decimation in
-//! frequency leaves them: a product of spectra does not ask for another one, and the way back, a decimation in time,
-//! starts from it (Gentleman and Sande 1966; Cooley and Tukey 1965).
+//! Each one-dimensional transform runs over the slow index of an array. The fast index counts
+//! independent signals, so the inner loops are plain and contiguous. Frequencies stay in the order of
+//! the decimation in frequency. A product of spectra needs no other order, and the inverse, a decimation
+//! in time, starts from it (Gentleman and Sande 1966; Cooley and Tukey 1965).
 
 use alloc::vec::Vec;
 use core::f64::consts::PI;
@@ -17,7 +17,7 @@ pub(crate) struct Complexes {
 }
 
 impl Complexes {
-    /// Zeros.
+    /// Resets to `count` zeros.
     pub(crate) fn zeros(&mut self, count: usize) {
         for part in [&mut self.re, &mut self.im] {
             part.clear();
@@ -36,7 +36,7 @@ struct Line {
     length: usize,
     /// e^(-2πi j / length) for j below half the length.
     turns: Vec<[f64; 2]>,
-    /// Where each frequency stands after [`Self::forward`].
+    /// Index of each frequency after [`Self::forward`].
     place: Vec<usize>,
 }
 
@@ -52,8 +52,8 @@ impl Line {
         }
     }
 
-    /// Σ x e^(-2πi j k / length) of `count` signals; sample j of signal s stands at `j * count + s`. Two halvings
-    /// at a time, which saves half of the passes over memory.
+    /// Σ x e^(-2πi j k / length) of `count` signals; sample j of signal s is at `j * count + s`. Radix 4
+    /// halves the passes over memory.
     fn forward(&self, x: &mut Complexes, count: usize) {
         let mut span = self.length;
         while span >= 4 {
@@ -77,7 +77,7 @@ impl Line {
         }
     }
 
-    /// [`Self::forward`] undone, but for the factor `length`.
+    /// Inverse of [`Self::forward`], without the factor 1 / `length`.
     fn backward(&self, x: &mut Complexes, count: usize) {
         let odd = self.length.trailing_zeros() % 2 == 1;
         if odd {
@@ -128,7 +128,7 @@ fn times([a, b]: [f64; 2], [c, d]: [f64; 2]) -> [f64; 2] {
     [a * c - b * d, a * d + b * c]
 }
 
-/// Two halvings by frequency: the even half first, then the odd one, each halved again.
+/// Radix-4 step in frequency: the even half first, then the odd one, each halved again.
 fn decimate_frequency(re: [&mut [f64]; 4], im: [&mut [f64]; 4], turns: [[f64; 2]; 3]) {
     let ([ar, br, cr, dr], [ai, bi, ci, di]) = (re, im);
     let count = ar.len();
@@ -146,7 +146,7 @@ fn decimate_frequency(re: [&mut [f64]; 4], im: [&mut [f64]; 4], turns: [[f64; 2]
     }
 }
 
-/// [`decimate_frequency`] undone, but for the factor 4.
+/// Inverse of [`decimate_frequency`], without the factor 1/4.
 fn decimate_time(re: [&mut [f64]; 4], im: [&mut [f64]; 4], turns: [[f64; 2]; 3]) {
     let ([ar, br, cr, dr], [ai, bi, ci, di]) = (re, im);
     let count = ar.len();
@@ -166,7 +166,8 @@ fn decimate_time(re: [&mut [f64]; 4], im: [&mut [f64]; 4], turns: [[f64; 2]; 3])
     }
 }
 
-/// Transforms of real fields of `rows` by `cols`, both powers of two and at least 2, padded with zeros to twice both.
+/// Transforms of real fields of `rows` by `cols`, both powers of two and at least 2, padded with zeros
+/// to twice both.
 #[derive(Clone, Debug)]
 pub(crate) struct Plane {
     pub(crate) rows: usize,
@@ -180,7 +181,7 @@ impl Plane {
         Self { rows, cols, down: Line::new(2 * rows), across: Line::new(2 * cols) }
     }
 
-    /// How many frequencies a spectrum has: those across are half, the field being real.
+    /// Number of frequencies in a spectrum: half of those across, because the field is real.
     pub(crate) fn frequencies(&self) -> usize {
         self.down.length * (self.cols + 1)
     }
@@ -190,7 +191,7 @@ impl Plane {
         self.forward_of(|row, col| field[row * self.cols + col], [self.rows, self.cols], scratch, spectrum);
     }
 
-    /// Spectrum of what `at` tells of the padded field: rows and columns below `sides`, zero beyond.
+    /// Spectrum of the padded field `at`, given for rows and columns below `sides`; zero beyond.
     pub(crate) fn forward_of(
         &self,
         at: impl Fn(usize, usize) -> f64,
@@ -224,7 +225,8 @@ impl Plane {
         self.down.forward(spectrum, width);
     }
 
-    /// The part of the field within `rows` and `cols`, times the number of padded cells; the spectrum is used up.
+    /// Inverse transform within `rows` and `cols`, times the number of padded cells; overwrites the
+    /// spectrum.
     pub(crate) fn backward(&self, spectrum: &mut Complexes, scratch: &mut Complexes, field: &mut Vec<f64>) {
         let (width, pairs) = (self.cols + 1, self.rows / 2);
         self.down.backward(spectrum, width);
@@ -251,7 +253,7 @@ impl Plane {
         }
     }
 
-    /// Where the frequencies k and -k stand.
+    /// Indices of the frequencies k and -k.
     fn mirrored(&self, k: usize) -> (usize, usize) {
         let place = &self.across.place;
         (place[k], place[(self.across.length - k) % self.across.length])
@@ -268,7 +270,7 @@ mod tests {
         (0..count).map(|_| stream.uniform() - 0.5).collect()
     }
 
-    /// By the definition of the transform.
+    /// Against the definition of the transform.
     #[test]
     fn a_line_is_the_discrete_fourier_transform() {
         for length in [1, 2, 4, 8, 16, 32] {
@@ -295,7 +297,7 @@ mod tests {
         }
     }
 
-    /// A product of spectra is the sum over shifts, with nothing wrapped round.
+    /// A product of spectra is the sum over shifts, without wrap-around.
     #[test]
     fn row_28_a_padded_product_is_the_open_convolution() {
         for (rows, cols) in [(2, 2), (4, 16), (16, 4), (8, 8)] {

@@ -1,10 +1,11 @@
-//! Friction: tractions that hold the surface where the part carries it, as far as Coulomb's bound lets them.
+//! Friction: tractions that make the surface follow the part, within Coulomb's bound.
 //!
-//! Where the part sticks, the surface goes where it is carried; where it slips, the traction is at its bound μp and points
-//! to where the surface is carried to. For given pressures, and a motion that grows from nothing, these are the tractions
-//! |q| <= μp that make ½ q·Gq - q·d least (Johnson 1985, 7.2; Kalker 1990), G being the compliance and d the motion
-//! that is asked for. They are found by projected gradients with spectral steps and an exact search along each (Birgin,
-//! Martínez and Raydan 2000): one product with G a step, and every step goes down.
+//! Where the part sticks, the surface follows it. Where it slips, the traction is at its bound μp and
+//! points in the direction of the part's motion. For given pressures, and a motion that grows from zero,
+//! these tractions minimise ½ q·Gq - q·d subject to |q| <= μp (Johnson 1985, 7.2; Kalker 1990), where G
+//! is the compliance and d the requested motion. They are found by projected gradients with spectral
+//! steps and an exact line search (Birgin, Martínez and Raydan 2000). Each step costs one product with
+//! G, and every step reduces the objective.
 
 use super::contact::{Convergence, dot};
 use super::operator::{Operator, Scratch};
@@ -12,10 +13,10 @@ use alloc::vec::Vec;
 use gelstereo_core::math::sqrt;
 use gelstereo_core::stop::Stop;
 
-/// As [`super::contact`]'s.
+/// As in [`super::contact`].
 const MAX_PRODUCTS: usize = 1000;
 
-/// Fields over a window, kept from solve to solve.
+/// Fields over a window, kept between solves.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Holding {
     /// Gq - d.
@@ -26,7 +27,8 @@ pub(crate) struct Holding {
 }
 
 impl Holding {
-    /// Tractions no longer than `bound`, which carry the surface to `asked_mm` where they can, starting from `traction`.
+    /// Solves for tractions no longer than `bound` that carry the surface to `asked_mm` where possible,
+    /// starting from `traction`.
     pub(crate) fn solve(
         &mut self,
         operator: &Operator,
@@ -42,7 +44,7 @@ impl Holding {
         for (lag, asked) in self.lag.iter_mut().zip(asked_mm) {
             lag.iter_mut().zip(asked).for_each(|(lag, asked)| *lag -= asked);
         }
-        // A step this long never overshoots.
+        // This step length never overshoots.
         let safe = 1.0 / operator.stiffest[1];
         let mut length = 2.0 * safe;
         let mut found = Convergence { products: 1, ..Convergence::default() };
@@ -65,7 +67,7 @@ impl Holding {
                 traction[axis].iter_mut().zip(&self.step[axis]).for_each(|(q, s)| *q += share * s);
                 self.lag[axis].iter_mut().zip(&self.product[axis]).for_each(|(lag, g)| *lag += share * g);
             }
-            // The two spectral lengths take turns (Dai and Fletcher 2005).
+            // Alternates the two spectral step lengths (Dai and Fletcher 2005).
             length = if found.products.is_multiple_of(2) {
                 both(&self.step, &self.step) / along
             } else {
@@ -75,7 +77,7 @@ impl Holding {
         found
     }
 
-    /// Leaves the step down the gradient, cut to what is feasible; its largest length is returned.
+    /// Stores the projected gradient step in `step` and returns its largest length.
     fn aim(&mut self, length: f64, bound: &[f64], traction: &[Vec<f64>; 2]) -> f64 {
         for step in &mut self.step {
             step.clear();
@@ -96,7 +98,7 @@ impl Holding {
     }
 }
 
-/// The vector, no longer than `bound`.
+/// Clips the vector to length `bound`.
 fn shortened([x, y]: [f64; 2], bound: f64) -> [f64; 2] {
     let squared = x * x + y * y;
     if squared <= bound * bound {

@@ -1,32 +1,32 @@
-//! How far a cell under a uniform traction moves the surface around it.
+//! Motion of the surface around a cell under a uniform traction.
 //!
-//! The layer's compliance is that of the half-space plus a rest. The half-space's part is known in closed form over a
-//! rectangle (pressure: Love 1929; shear: the same integrals, from Cerruti's solution). The rest falls as e^(-2kh), so that
-//! it is smooth, and its Fourier integral is a Hankel integral that Gauss's rule takes to round-off. Nothing is
-//! periodic: the layer is as wide as it is.
+//! The layer's compliance is that of the half-space plus a remainder. The half-space term has a closed
+//! form over a rectangle (pressure: Love 1929; shear: the same integrals, from Cerruti's solution). The
+//! remainder decays as e^(-2kh) and is therefore smooth. Its Fourier integral is a Hankel integral,
+//! which Gauss quadrature computes to round-off. Nothing is periodic: the layer is unbounded.
 
 use super::kernel::Layer;
 use alloc::vec::Vec;
 use core::f64::consts::PI;
 use gelstereo_core::math::{asinh, atan, bessel_j0, bessel_j1, ceil, exp, ln, sqrt};
 
-/// Motion at offsets (column, row) in cells, both from 0 to `side - 1`, row after row, for a traction of one Young's modulus
-/// on the square cell at 0; where an offset is negative, symmetry tells.
+/// Motion at offsets (column, row) in cells, both from 0 to `side - 1`, row-major, for a traction of one
+/// Young's modulus on the square cell at 0. Negative offsets follow by symmetry.
 #[derive(Clone, Debug)]
 pub(crate) struct Influence {
     pub(crate) side: usize,
-    /// Into the layer under a pressure; even both ways.
+    /// Into the layer under a pressure; even along both axes.
     pub(crate) normal: Vec<f64>,
-    /// Along x under a pressure; odd along x, even along y. Along y it is the transpose.
+    /// Along x under a pressure; odd along x, even along y. Its transpose is the motion along y.
     pub(crate) cross: Vec<f64>,
-    /// Along x under a traction along x; even both ways. Along y it is the transpose.
+    /// Along x under a traction along x; even along both axes. Its transpose is the y counterpart.
     pub(crate) along: Vec<f64>,
-    /// Along y under a traction along x, and the reverse; odd both ways.
+    /// Along y under a traction along x, and the reverse; odd along both axes.
     pub(crate) across: Vec<f64>,
 }
 
 impl Influence {
-    /// For square cells of `cell_mm`, `side` of them from one to the farthest.
+    /// For square cells of side `cell_mm` and offsets of up to `side` cells.
     pub(crate) fn new(layer: &Layer, cell_mm: f64, side: usize) -> Self {
         let mut influence = Self::of_half_space(layer, cell_mm, side);
         let rest = Radials::new(layer, cell_mm, side as f64 * cell_mm);
@@ -87,14 +87,14 @@ fn integrals(x: f64, y: f64) -> [f64; 4] {
     [
         y * asinh(x / y.abs()),
         x * asinh(y / x.abs()),
-        // Up to what the four corners of a cell have in common.
+        // Without terms that cancel over the four corners of a cell.
         -sqrt(r2),
         0.5 * y * ln(r2) + x * atan(y / x),
     ]
 }
 
-/// The rest's integrals at one distance: pressure to depth and to motion outwards, and shear to motion along it, its mean
-/// over directions and what depends on twice the angle.
+/// The remainder's integrals at one distance: pressure to depth, pressure to outward motion, and shear
+/// to motion along it, split into the mean over directions and the term in twice the angle.
 #[derive(Clone, Copy, Debug, Default)]
 struct Radial {
     normal: f64,
@@ -112,21 +112,22 @@ impl Radial {
     }
 }
 
-/// The rest's integrals at equally far distances, from some before 0 on: they are even or odd.
+/// The remainder's integrals at equal steps of distance, starting slightly below 0, where they are even
+/// or odd.
 struct Radials {
     step_mm: f64,
     values: Vec<Radial>,
 }
 
-/// Points of the polynomial between two distances, half of them on either side.
+/// Points of the interpolating polynomial, half of them on either side.
 const POINTS: usize = 10;
 
-/// Of the layer's thickness. What waves k add is as small as k³ h² e^(-2kh), and a polynomial through ten points a step d
-/// apart is off by (kd)^10 872 / 10! of it: 1e-13 of the whole.
+/// In units of the layer's thickness. Waves k contribute k³ h² e^(-2kh). The error of a polynomial
+/// through ten points a step d apart is (kd)^10 872 / 10! of that: 1e-13 of the whole.
 const STEP: f64 = 0.045;
 
 impl Radials {
-    /// Up to cells `reach_mm` away along both axes.
+    /// For cells up to `reach_mm` away along both axes.
     fn new(layer: &Layer, cell_mm: f64, reach_mm: f64) -> Self {
         let hankel = Hankel::new(layer, cell_mm, reach_mm);
         let step_mm = STEP * layer.thickness_mm;
@@ -135,7 +136,7 @@ impl Radials {
         Self { step_mm, values: (0..count).map(at).collect() }
     }
 
-    /// Lagrange's polynomial through the points about a distance.
+    /// Lagrange interpolation around a distance.
     fn at(&self, r_mm: f64) -> Radial {
         let steps = r_mm / self.step_mm;
         let first = (steps as usize).min(self.values.len() - POINTS);
@@ -150,10 +151,10 @@ impl Radials {
     }
 }
 
-/// Nodes of the Hankel integrals of the rest: wave number and what stands before the Bessel functions.
+/// Nodes of the remainder's Hankel integrals: wave number, and factors of the Bessel functions.
 struct Hankel(Vec<(f64, Radial)>);
 
-/// Nodes and weights of Gauss's rule with eight points on -1 to 1, the positive half.
+/// Gauss-Legendre nodes and weights with eight points on -1 to 1, the positive half.
 const GAUSS: [[f64; 2]; 4] = [
     [0.1834346424956498, 0.362683783378362],
     [0.525532409916329, 0.31370664587788727],
@@ -161,19 +162,21 @@ const GAUSS: [[f64; 2]; 4] = [
     [0.9602898564975363, 0.10122853629037626],
 ];
 
-/// (k h)² e^(-2 k h) is 3e-12 there.
+/// Upper limit of k h, where (k h)² e^(-2 k h) is 3e-12.
 const LAST: f64 = 16.0;
 
 impl Hankel {
     fn new(layer: &Layer, cell_mm: f64, reach_mm: f64) -> Self {
         let h = layer.thickness_mm;
-        // The half-width of a panel keeps the farthest Bessel function within two radians and the layer's poles (the
-        // nearest at 0.74i) 3 half-widths away: eight points leave 1e-12.
+        // The panel half-width keeps the argument of the farthest Bessel function within two radians,
+        // and the layer's poles (the nearest at 0.74i) 3 half-widths away. Eight points then leave
+        // 1e-12.
         let panels = ceil((LAST / 0.5).max(LAST * 1.5 * reach_mm / h / 4.0)) as usize;
         let half = 0.5 * LAST / panels as f64;
         let node = |panel: usize, at: f64, weight: f64| {
             let k = ((2 * panel + 1) as f64 + at) * half / h;
-            // A square cell instead of a point: sin a / a sin b / b = e^(-(a² + b²) / 6) to fourth order, a = k_x cell / 2.
+            // Square cell instead of a point: sin a / a sin b / b = e^(-(a² + b²) / 6) to fourth order,
+            // a = k_x cell / 2.
             let smooth = exp(-k * k * cell_mm * cell_mm / 24.0);
             let weight = weight * half / h * k * smooth * cell_mm * cell_mm / (2.0 * PI);
             let (layered, deep) = (layer.compliance(k), layer.half_space(k));
@@ -211,7 +214,8 @@ mod tests {
     use super::*;
     use gelstereo_core::math::{cos, sin};
 
-    /// Between its distances as at them, for thick layers and thin ones: 1e-12 of the largest, ten times what is estimated.
+    /// At and between the tabulated distances, for thick and thin layers: 1e-12 of the largest, ten
+    /// times the estimated error.
     #[test]
     fn polynomials_between_distances_are_the_integrals() {
         for (thickness_mm, cell_mm, side) in [(5.0, 0.45, 64), (1.0, 1.0, 16), (20.0, 0.2, 32)] {
@@ -230,9 +234,10 @@ mod tests {
         }
     }
 
-    /// Under a wave of tractions the cells together move as the layer's compliance says. A wave that cells sample is one with
-    /// all its aliases, and each comes with the transform of a cell: known, so that only the sum's far end (e^(-0.74 * 24) = 2e-8 of the
-    /// nearest pole) and the Gaussian that stands for a cell remain: a⁴/180 = 2e-5 of the rest at a = k cell / 2 = 1/4.
+    /// Under a wave of tractions, the sum over the cells equals the layer's compliance. A sampled wave
+    /// includes all its aliases, each times the transform of a cell. Both are known. What remains is the
+    /// truncation of the sum (e^(-0.74 * 24) = 2e-8 of the nearest pole) and the Gaussian approximation
+    /// of a cell: a⁴/180 = 2e-5 of the remainder at a = k cell / 2 = 1/4.
     #[test]
     fn cells_add_up_to_the_compliance_of_a_wave() {
         for poisson_ratio in [0.0, 0.3, 0.48, 0.5] {

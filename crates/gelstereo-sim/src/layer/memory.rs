@@ -1,29 +1,30 @@
-//! What a viscous gel remembers of how it was deformed.
+//! Deformation history of a viscoelastic gel.
 //!
-//! Its modulus relaxes from 1 to 1 - Σ g_i, each share g_i over its time τ_i (Prony series; Poisson's ratio stays). In each
-//! share's dashpot a deformation x_i follows the surface's motion w, x_i' = (w - x_i) / τ_i, and tractions p move
-//! the surface by w = Kp + Σ g_i x_i: what is remembered stands before the part as if the surface had been printed so. Between two
-//! frames w is taken as linear, for which x_i is known: e x_i + b w_before + c w_now. The share of w that is in its own memory
-//! only scales the tractions, which nobody sees on a part that is held in place.
+//! The modulus relaxes from 1 to 1 - Σ g_i, each share g_i with its time constant τ_i (Prony series;
+//! Poisson's ratio is constant). In the dashpot of each share, a deformation x_i follows the surface's
+//! motion w: x_i' = (w - x_i) / τ_i. Tractions p move the surface by w = Kp + Σ g_i x_i, so the history
+//! acts on the part like a shape printed into the surface. Between two frames w is taken as linear,
+//! which gives x_i in closed form: e x_i + b w_before + c w_now. The term in w_now only rescales the
+//! tractions, and the surface does not depend on that scale when the part is held in place.
 
 use super::zeros;
 use alloc::vec::Vec;
 use gelstereo_core::math::expm1;
 
-/// One share of the modulus that relaxes.
+/// One relaxing share of the modulus.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(deny_unknown_fields))]
 pub struct PronyTerm {
-    /// Share of the modulus right after a step, 0 to 1.
+    /// Share of the instantaneous modulus, 0 to 1.
     pub share: f64,
-    /// Time over which it relaxes, seconds.
+    /// Relaxation time constant, seconds.
     pub time_s: f64,
 }
 
 /// Motion of the surface over the cells: into the layer, along x, along y.
 pub(crate) type Surface = [Vec<f64>; 3];
 
-/// Memory of the surface's motion, frame by frame.
+/// History of the surface's motion, frame by frame.
 #[derive(Clone, Debug)]
 pub(crate) struct Memory {
     terms: Vec<Term>,
@@ -31,14 +32,14 @@ pub(crate) struct Memory {
     last: Surface,
     /// Motion without tractions in this frame.
     remembered: Surface,
-    /// Frames remembered.
+    /// Number of frames stored.
     frames: u64,
 }
 
 #[derive(Clone, Debug)]
 struct Term {
     share: f64,
-    /// What of itself, of the last frame's motion and of this frame's goes into `x`.
+    /// Weights of `x`, of the last frame's motion and of this frame's motion in the new `x`.
     own: f64,
     before: f64,
     now: f64,
@@ -58,7 +59,7 @@ impl Memory {
         Self { terms: terms.iter().map(term).collect(), last: none(), remembered: none(), frames: 0 }
     }
 
-    /// How many frames are in it.
+    /// Number of frames stored.
     pub(crate) fn frames(&self) -> u64 {
         self.frames
     }
@@ -70,12 +71,12 @@ impl Memory {
         self.frames = 0;
     }
 
-    /// Motion that the surface would have without tractions in the frame after those remembered.
+    /// Motion that the surface would have without tractions in the next frame.
     pub(crate) fn remembered(&self) -> &Surface {
         &self.remembered
     }
 
-    /// Remembers one more frame, whose motion is what tractions added to what was remembered.
+    /// Adds one frame. Its motion is `added`, due to tractions, plus the remembered motion.
     pub(crate) fn add(&mut self, added: [&[f64]; 3]) {
         let Self { terms, last, remembered, frames } = self;
         let instant: f64 = 1.0 - terms.iter().map(|term| term.share * term.now).sum::<f64>();

@@ -1,9 +1,9 @@
-//! Contact of a rigid part with a layer of gel: linear elasticity, bonded below, as wide as it likes.
+//! Contact of a rigid part with a layer of gel: linear elasticity, bonded below, unbounded sideways.
 //!
-//! [`Layer`] knows its compliances wave by wave, [`LayerContact`] finds the tractions over a grid of square cells under a
-//! part and how the surface moves, and [`closed`] has the few contacts that are solved in closed form, for the
-//! half-space that a thick layer is. Tractions are in units of Young's modulus: a part that is held in place leaves the
-//! same surface whatever the modulus is.
+//! [`Layer`] has the compliances by wave number. [`LayerContact`] solves for the tractions over a grid
+//! of square cells under a part, and for the motion of the surface. [`closed`] has the few contacts with
+//! closed-form solutions, for the half-space limit of a thick layer. Tractions are in units of Young's
+//! modulus: the surface under a part that is held in place does not depend on the modulus.
 
 pub mod closed;
 mod contact;
@@ -32,17 +32,17 @@ use influence::Influence;
 use operator::{Operator, Scratch};
 use window::Window;
 
-/// Where a solve starts from.
+/// Initial value of a solve.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Start {
-    /// From the part's heights: the same bits whatever was solved before.
+    /// The part's heights: the same bits whatever was solved before.
     #[default]
     Afresh,
-    /// From the last solution, as for the next frame of a sequence: fewer steps.
+    /// The last solution, as for the next frame of a sequence: fewer steps.
     Last,
 }
 
-/// What a contact is solved on.
+/// Grid of square cells.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Grid {
     /// Cells along y.
@@ -56,24 +56,24 @@ pub struct Grid {
 /// A part on the layer.
 #[derive(Clone, Copy, Debug)]
 pub struct Part<'a> {
-    /// Its heights above the undeformed surface, positive into the layer, cell by cell and row after row; negative infinity
-    /// where there is none.
+    /// Heights above the undeformed surface, positive into the layer, row-major over the cells; negative
+    /// infinity where there is no part.
     pub heights_mm: &'a [f64],
-    /// How far it would carry every cell along x and along y since it touched, if it stuck; `None` is nowhere.
+    /// Motion of every cell along x and along y since touch if it stuck; `None` is zero everywhere.
     pub carried_mm: Option<[&'a [f64]; 2]>,
 }
 
-/// A layer over whose surface a part may press anywhere on a grid of cells. All that depends on layer and grid is worked
-/// out once; solving allocates nothing after the first time.
+/// A layer with a grid of cells on which a part may press anywhere. Everything that depends on layer and
+/// grid is precomputed. Solving allocates nothing after the first time.
 #[derive(Clone, Debug)]
 pub struct LayerContact {
     layer: Layer,
     grid: Grid,
     friction: f64,
     influence: Influence,
-    /// By the logarithms of their sides.
+    /// Sorted by the logarithms of their sides.
     operators: Vec<Operator>,
-    /// How many logarithms there are along a side.
+    /// Number of logarithms along each side.
     sizes: [usize; 2],
     pressure: Vec<f64>,
     traction: [Vec<f64>; 2],
@@ -95,21 +95,21 @@ struct Work {
     scratch: Scratch,
 }
 
-/// Sides of the smallest operator.
+/// Side of the smallest operator.
 const MIN_SIDE: usize = 8;
 /// Largest number of cells along a side.
 const MAX_CELLS: usize = 256;
-/// Turns of pressures and tractions after which a solve gives up.
+/// Alternations between pressures and tractions after which a solve gives up.
 const MAX_TURNS: usize = 40;
-/// How far beside the part's deepest point, in parts of its depth, a cell is still looked at: pressed gel rises beside a
-/// contact, by less than that.
+/// Cells are included where the part is less than this fraction of its depth away from the undeformed
+/// surface. Pressed gel rises beside a contact by less than that.
 const RISE: f64 = 0.25;
 
 impl LayerContact {
     /// `friction` is Coulomb's coefficient; 0 for none.
     ///
     /// # Errors
-    /// [`LayerError::Invalid`] for a layer, a grid or a friction that is none.
+    /// [`LayerError::Invalid`] for an invalid layer, grid or friction.
     pub fn new(layer: Layer, grid: Grid, friction: f64) -> Result<Self, LayerError> {
         layer.validate()?;
         grid.validate(&layer)?;
@@ -162,14 +162,16 @@ impl LayerContact {
         operator.lift(traction, scratch, &mut work.lifted);
     }
 
-    /// Presses a part into the layer and carries it aside. A cell that touches ends within `tolerance_mm` of the part.
+    /// Presses a part into the layer and carries it aside. A cell in contact ends within `tolerance_mm`
+    /// of the part.
     ///
-    /// With friction, pressures and tractions are found in turns until the tractions' lift no longer moves the surface
-    /// (Panagiotopoulos 1975). All happens in one go: what slipped on the way is not remembered.
+    /// With friction, pressures and tractions are solved alternately until the lift by the tractions no
+    /// longer moves the surface (Panagiotopoulos 1975). The motion is applied in one step: slip along
+    /// the path is not modelled.
     ///
     /// # Errors
-    /// [`LayerError`] if a number is missing, NaN, or deeper than the layer is thick, or the tolerance is not
-    /// positive.
+    /// [`LayerError`] if a number is missing, NaN, or deeper than the layer is thick, or the tolerance
+    /// is not positive.
     pub fn press(
         &mut self,
         part: Part<'_>,
@@ -179,7 +181,7 @@ impl LayerContact {
         self.press_unless(part, tolerance_mm, start, NEVER)
     }
 
-    /// As [`Self::press`], unless it is stopped: then the last solution stays.
+    /// As [`Self::press`], but can be stopped: the last solution then stays.
     ///
     /// # Errors
     /// As [`Self::press`], and [`LayerError::Stopped`].
@@ -213,13 +215,14 @@ impl LayerContact {
         Ok(found)
     }
 
-    /// Takes the part away.
+    /// Removes the part.
     pub(crate) fn release(&mut self) {
         let Self { pressure, traction: [x, y], .. } = self;
         [pressure, x, y].into_iter().for_each(|field| field.fill(0.0));
     }
 
-    /// Puts these pressures, and tractions along x and y, on the surface in place of a contact, in units of Young's modulus.
+    /// Sets pressures, and tractions along x and y, on the surface instead of solving a contact; in
+    /// units of Young's modulus.
     ///
     /// # Errors
     /// [`LayerError`] if a number is missing or not finite.
@@ -310,7 +313,7 @@ impl LayerContact {
 }
 
 impl Work {
-    /// Cuts the window out of the fields, and sets what the solve starts from.
+    /// Cuts the window out of the fields and sets the initial values of the solve.
     fn begin(
         &mut self,
         operator: &Operator,
@@ -324,7 +327,8 @@ impl Work {
         window.cut(part.heights_mm, f64::NEG_INFINITY, plane, &mut self.heights);
         match start {
             Start::Afresh => {
-                // A bed of springs as stiff as the shortest waves: near enough for what the contact is to be found from.
+                // Independent springs with the stiffness of the shortest waves: close enough to start
+                // from.
                 self.pressure.clear();
                 let spring = operator.stencil[0];
                 self.pressure.extend(self.heights.iter().map(|height| height.max(0.0) * spring));
@@ -341,7 +345,7 @@ impl Work {
         }
     }
 
-    /// Pressures and tractions in turns.
+    /// Solves pressures and tractions alternately.
     fn grip(
         &mut self,
         operator: &Operator,

@@ -1,18 +1,19 @@
 //! Motion of markers under the tractions of a contact.
 //!
-//! Markers stand on every n-th cell, so that the influence of a cell on a row of markers is a contiguous stretch of a
-//! table. A contact has far fewer loaded cells than the layer has: sums over them are cheaper than transforms of all.
+//! Markers stand on every n-th cell, so the influence of a cell on a row of markers is a contiguous
+//! slice of a table. A contact has far fewer loaded cells than the grid, so sums over them are cheaper
+//! than transforms of all cells.
 
 use super::LayerContact;
 use super::influence::Influence;
 use alloc::vec::Vec;
 
-/// Markers on a grid of cells, whose first one stands on cell (`border`, `border`).
+/// Markers on a grid of cells; the first one stands on cell (`border`, `border`).
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Places {
     pub(crate) rows: usize,
     pub(crate) cols: usize,
-    /// Cells from one marker to the next.
+    /// Cells between neighbouring markers.
     pub(crate) step: usize,
     /// Cells beside the outermost markers, a multiple of `step`.
     pub(crate) border: usize,
@@ -23,18 +24,18 @@ pub(crate) struct Places {
 pub(crate) struct Nodes {
     places: Places,
     grid_cols: usize,
-    /// Steps from the first entry of a row of a table to that of no offset.
+    /// Index of offset zero in a table row.
     origin: usize,
-    /// Entries of a row of a table.
+    /// Length of a table row.
     width: usize,
-    /// By offset down (its absolute value), offset across modulo `step`, and offset across.
+    /// Indexed by offset down (absolute value), offset across modulo `step`, and offset across.
     normal: Vec<f64>,
     cross: [Vec<f64>; 2],
-    /// Along x, along y, from one to the other.
+    /// Along x, along y, and the coupling between them.
     shear: [Vec<f64>; 3],
 }
 
-/// Motion of every marker, mm: into the layer, along the cells' x and y.
+/// Motion of every marker, mm: into the layer, and along the cells' x and y.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Motion {
     pub(crate) into: Vec<f64>,
@@ -47,7 +48,7 @@ impl Places {
         [self.rows, self.cols].map(|markers| (markers - 1) * self.step + 1 + 2 * self.border)
     }
 
-    /// The cell that a marker stands on.
+    /// The cell under a marker.
     pub(crate) fn cell(&self, marker: usize) -> usize {
         let (row, col) = (marker / self.cols, marker % self.cols);
         (row * self.step + self.border) * self.cells()[1] + col * self.step + self.border
@@ -68,7 +69,7 @@ impl Nodes {
                     for t in 0..width {
                         let col = ((t as isize - origin as isize) * places.step as isize) + phase as isize;
                         let sign = if odd && col < 0 { -1.0 } else { 1.0 };
-                        // Beyond the table no cell has a marker.
+                        // No cell has a marker beyond the table.
                         let col = col.unsigned_abs();
                         list.push(if col < side { sign * at(row, col) } else { 0.0 });
                     }
@@ -123,7 +124,8 @@ impl Nodes {
         }
     }
 
-    /// Where the influence of a cell on a row of markers starts in the tables, and its sign for what is odd down.
+    /// Start of the table slice for the influence of a cell on a row of markers, and the sign of kernels
+    /// that are odd down.
     fn stretch(&self, cell: usize, row: usize) -> (usize, f64) {
         let Places { step, border, .. } = self.places;
         let (cell_row, cell_col) = (cell / self.grid_cols, cell % self.grid_cols);

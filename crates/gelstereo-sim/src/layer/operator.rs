@@ -4,22 +4,23 @@ use super::fft::{Complexes, Plane};
 use super::influence::Influence;
 use alloc::vec::Vec;
 
-/// Convolutions over a window of `plane.rows` by `plane.cols` cells. The kernels are even or odd both ways, so that their
-/// spectra are real or imaginary; the scale of the way back is in them.
+/// Convolutions over a window of `plane.rows` by `plane.cols` cells. The kernels are even or odd along
+/// both axes, so their spectra are real or imaginary. They include the scale of the inverse transform.
 #[derive(Clone, Debug)]
 pub(crate) struct Operator {
     pub(crate) plane: Plane,
     normal: Vec<f64>,
     cross: [Vec<f64>; 2],
-    /// Along x, along y, and from one to the other.
+    /// Along x, along y, and the coupling between them.
     shear: [Vec<f64>; 3],
-    /// At least the largest eigenvalue of the normal compliance, mm, and of the shear one.
+    /// Upper bounds of the largest eigenvalue of the normal and of the shear compliance, mm.
     pub(crate) stiffest: [f64; 2],
-    /// About the inverse of the normal compliance, per mm: a cell, its neighbours across a side, those across a corner.
+    /// Approximate inverse of the normal compliance, per mm: the cell, its neighbours across a side, and
+    /// those across a corner.
     pub(crate) stencil: [f64; 3],
 }
 
-/// What transforms need to work in.
+/// Buffers of the transforms.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Scratch {
     pairs: Complexes,
@@ -57,7 +58,7 @@ impl Operator {
         }
     }
 
-    /// Motion into the layer under these tractions: [`Self::spread`] transposed.
+    /// Motion into the layer under these tractions: the transpose of [`Self::spread`].
     pub(crate) fn lift(&self, traction: &[Vec<f64>; 2], scratch: &mut Scratch, out_mm: &mut Vec<f64>) {
         let Scratch { pairs, spectra: [x, y, sum] } = scratch;
         self.plane.forward(&traction[0], pairs, x);
@@ -93,7 +94,7 @@ struct Kernels<'a> {
     scratch: Scratch,
 }
 
-/// Which part of a spectrum there is.
+/// Non-zero part of a spectrum.
 #[derive(Clone, Copy)]
 enum Part {
     Real,
@@ -124,7 +125,8 @@ impl Kernels<'_> {
         Operator { plane: self.plane.clone(), normal, cross, shear, stiffest, stencil }
     }
 
-    /// Of a kernel given for offsets that are not negative; `down` and `across` give its signs for those that are.
+    /// Spectrum of a kernel given for non-negative offsets. `down` and `across` return its sign for
+    /// negative ones.
     fn spectrum(
         &mut self,
         kernel: impl Fn(usize, usize) -> f64,
@@ -135,7 +137,7 @@ impl Kernels<'_> {
         let (rows, cols) = (self.plane.rows, self.plane.cols);
         let Scratch { pairs, spectra: [spectrum, ..] } = &mut self.scratch;
         let wrapped = |row: usize, col: usize| {
-            // Half way round no cell of the window has another one.
+            // No two cells of the window are half the padded size apart.
             if row == rows || col == cols {
                 return 0.0;
             }
@@ -152,8 +154,8 @@ impl Kernels<'_> {
         found.iter().map(|x| x * scale).collect()
     }
 
-    /// The middle of the inverse kernel, which falls with the cube of the distance; the bare cell if the middle alone
-    /// would not be positive definite.
+    /// Centre of the inverse kernel, which decays with the cube of the distance. If the centre alone is
+    /// not positive definite, only a diagonal is used.
     fn stencil(&mut self, normal: &[f64], stiffest: f64) -> [f64; 3] {
         let (rows, cols) = (self.plane.rows, self.plane.cols);
         let cells = (4 * rows * cols) as f64;
@@ -167,7 +169,7 @@ impl Kernels<'_> {
         let [cell, side, other, corner] =
             [field[0], field[1], field[cols], field[cols + 1]].map(|x| x / cells);
         let side = 0.5 * (side + other);
-        // Least and largest of cell + 2 side (cos a + cos b) + 4 corner cos a cos b.
+        // Extremes of cell + 2 side (cos a + cos b) + 4 corner cos a cos b.
         let ends = [cell + 4.0 * (side + corner), cell - 4.0 * corner, cell - 4.0 * (side - corner)];
         if ends.iter().all(|&end| end > 0.0) { [cell, side, corner] } else { [1.0 / stiffest, 0.0, 0.0] }
     }

@@ -1,4 +1,4 @@
-//! The part of a grid that a solve looks at.
+//! Window of grid cells that a solve covers.
 
 use super::fft::Plane;
 use super::{Grid, MIN_SIDE};
@@ -15,12 +15,13 @@ pub(crate) struct Window {
 }
 
 impl Window {
-    /// All of a grid.
+    /// The whole grid.
     pub(crate) fn whole(grid: Grid) -> Self {
         Self { row: 0, col: 0, rows: grid.rows, cols: grid.cols, grid_cols: grid.cols }
     }
 
-    /// What lies less than `rise` of the greatest height below the undeformed surface; nothing if no height is positive.
+    /// Bounding window of the cells whose height exceeds `-rise` times the greatest height; empty if no
+    /// height is positive.
     pub(crate) fn around(heights_mm: &[f64], grid: Grid, rise: f64) -> Self {
         let deepest = heights_mm.iter().fold(0.0_f64, |most, &height| most.max(height));
         let least = -rise * deepest;
@@ -42,14 +43,15 @@ impl Window {
         Self { row, col, rows: high[0] - row, cols: high[1] - col, grid_cols: grid.cols }
     }
 
-    /// Which of the operators, sorted by the logarithms of their sides, holds the window.
+    /// Index of the operator that holds the window; operators are sorted by the logarithms of their
+    /// sides.
     pub(crate) fn operator(&self, sizes: [usize; 2]) -> usize {
         let log = |cells: usize| (cells.max(MIN_SIDE).next_power_of_two() / MIN_SIDE).ilog2() as usize;
         log(self.rows) * sizes[1] + log(self.cols)
     }
 
-    /// The window's part of a field over the grid, on an operator's cells; `beside` fills the rest of them, and all of them if
-    /// the field is empty.
+    /// Copies the window of a grid field onto an operator's cells. `beside` fills the remaining cells,
+    /// and all cells if the field is empty.
     pub(crate) fn cut(&self, field: &[f64], beside: f64, plane: &Plane, out: &mut Vec<f64>) {
         out.clear();
         out.resize(plane.rows * plane.cols, beside);
@@ -62,7 +64,7 @@ impl Window {
         }
     }
 
-    /// [`Self::cut`] undone.
+    /// Inverse of [`Self::cut`].
     pub(crate) fn paste(&self, cut: &[f64], plane: &Plane, field: &mut [f64]) {
         for row in 0..self.rows {
             let to = (self.row + row) * self.grid_cols + self.col;
@@ -77,7 +79,7 @@ impl Window {
         self.paste(cut, plane, field);
     }
 
-    /// Adds what [`Self::paste`] would write.
+    /// Adds the values that [`Self::paste`] would write.
     pub(crate) fn add(&self, cut: &[f64], plane: &Plane, field: &mut [f64]) {
         for row in 0..self.rows {
             let to = (self.row + row) * self.grid_cols + self.col;

@@ -1,13 +1,13 @@
-//! What is asked of a scene.
+//! Requirements of a scene.
 
 use crate::effects::Switches;
 use crate::plan::Bound;
 use crate::scene::SceneError;
 
-/// What is asked of a scene, and how far it may be from the truth of all listed effects.
+/// The required output, and its tolerance relative to the simulation with all listed effects.
 ///
-/// In a file: `asked = { kind = "positions", tolerance_px = 0.01 }`. What hides, adds or drops dots (smears, specks,
-/// merged dots) changes no position and no point: who needs it asks for images.
+/// In a file: `asked = { kind = "positions", tolerance_px = 0.01 }`. Effects that hide, add or drop dots
+/// (smears, specks, merged dots) change no position and no point; require images to keep them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(
     feature = "serde",
@@ -15,19 +15,19 @@ use crate::scene::SceneError;
     serde(rename_all = "snake_case", tag = "kind", deny_unknown_fields)
 )]
 pub enum Asked {
-    /// Where the dots are in both images: the centroids of their outlines.
+    /// Positions of the dots in both images: the centroids of their outlines.
     Positions {
-        /// The most that a position may be off.
+        /// Largest error of a position.
         tolerance_px: f64,
     },
-    /// Where the markers are in space.
+    /// Positions of the markers in space.
     Points {
-        /// The most that a point may be off.
+        /// Largest error of a point.
         tolerance_um: f64,
     },
     /// Every pixel of both images.
     Images {
-        /// The most that a pixel may be off before it is rounded, grey levels.
+        /// Largest error of a pixel before rounding, grey levels.
         tolerance_levels: f64,
     },
 }
@@ -53,19 +53,19 @@ impl Asked {
         }
     }
 
-    /// Whether it takes the cameras: dots where they are seen, or images.
+    /// Whether the cameras are needed: dot positions in the images, or images.
     #[must_use]
     pub const fn views(&self) -> bool {
         !matches!(self, Self::Points { .. })
     }
 
-    /// Whether it takes images.
+    /// Whether images are needed.
     #[must_use]
     pub const fn images(&self) -> bool {
         matches!(self, Self::Images { .. })
     }
 
-    /// The bound of what is asked.
+    /// The bound in the unit of the requirement.
     #[must_use]
     pub const fn of(&self, bound: &Bound) -> f64 {
         match self {
@@ -86,20 +86,20 @@ impl Asked {
     }
 }
 
-/// How an effect is switched. Without a word it is [`Self::Auto`] where something is asked, else [`Self::On`].
+/// Switch of an effect. Unset means [`Self::Auto`] if the scene has a requirement, else [`Self::On`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "snake_case"))]
 pub enum Switch {
-    /// Off where what is asked hardly depends on it.
+    /// Off if the required output hardly depends on it.
     Auto,
-    /// Computed whatever is asked.
+    /// Always computed.
     On,
-    /// As if the scene did not have it.
+    /// Treated as absent.
     Off,
 }
 
 impl Switches {
-    /// Switches that make no sense: what is on must be there, and auto needs a tolerance.
+    /// Rejects invalid switches: an effect that is on must exist, and auto needs a tolerance.
     pub(crate) fn validate(&self, asked: bool, has: impl Fn(&str) -> bool) -> Result<(), SceneError> {
         for (effect, switch) in self.all() {
             match switch {

@@ -1,4 +1,4 @@
-//! What a scene's numbers say before anything is simulated.
+//! Properties of a scene that are known before the simulation.
 
 use crate::plan::Bound;
 use crate::scene::{Scene, SceneError};
@@ -8,30 +8,30 @@ use gelstereo_core::math::{DVec2, DVec3, Pose, cos, sin, so3, sqrt};
 use gelstereo_core::rig::{Rig, View};
 use gelstereo_core::surface::TriangleMesh;
 
-/// What bounds are made of. The scene is without the effects that are forced off.
+/// Inputs of the bounds. The scene excludes the effects that are forced off.
 #[derive(Clone, Debug)]
 pub(crate) struct Facts<'a> {
     pub(crate) scene: &'a Scene,
     pub(crate) touch: Touch,
-    /// The most that all effects together move a marker sideways from its place.
+    /// Largest sideways displacement of a marker by all effects together.
     pub(crate) sideways_mm: f64,
-    /// The most that they stretch the gel between two neighbours, as a share.
+    /// Largest stretch of the gel between two neighbours by all effects, as a share.
     pub(crate) stretch: f64,
     pub(crate) optics: Optics,
 }
 
-/// The part and the gel, at their worst along the trajectory.
+/// The part and the gel in the worst case along the trajectory.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Touch {
-    /// How deep the part reaches into the gel; at most the gel's thickness, and 0 when it never touches.
+    /// Depth of the part in the gel; at most the gel's thickness, and 0 without contact.
     pub(crate) depth_mm: f64,
-    /// How much the part's surface rises over a step sideways; infinite when it has a cliff.
+    /// Steepest slope of the part's surface; infinite at a vertical wall.
     pub(crate) steepness: f64,
     /// Longest distance between two points of the part's section with the rest surface.
     pub(crate) span_mm: f64,
-    /// Area of that section, at most.
+    /// Upper bound of that section's area.
     pub(crate) footprint_mm2: f64,
-    /// How far from its origin a point of the part is whose turn about it is seen: 0 for a ball.
+    /// Lever arm of the part's visible rotation about its origin: 0 for a ball.
     pub(crate) arm_mm: f64,
     /// The part's shear.
     pub(crate) shear_mm: f64,
@@ -39,18 +39,18 @@ pub(crate) struct Touch {
     pub(crate) twist_rad: f64,
 }
 
-/// How the cameras see, at their worst over the gel.
+/// The cameras' properties in the worst case over the gel.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Optics {
     /// Pixels per millimetre in the plane of the gel.
     pub(crate) lateral_px_per_mm: f64,
     /// Pixels per millimetre along the sensor's z.
     pub(crate) depth_px_per_mm: f64,
-    /// Tangent of the angle to a camera's axis under which a marker appears, the lens taken as without distortion.
+    /// Tangent of the angle between a camera's axis and a marker, without lens distortion.
     pub(crate) slope: f64,
     /// The longest focal length.
     pub(crate) f_px: f64,
-    /// What the layers move a marker's image.
+    /// Displacement of a marker's image by the layers.
     pub(crate) refraction_px: f64,
     /// Sine of the angle between the gel's plane, or the layers, and an image plane.
     pub(crate) tilt: f64,
@@ -77,8 +77,8 @@ impl<'a> Facts<'a> {
         [left, right].map(|camera| (camera.width_px * camera.height_px) as f64).iter().sum()
     }
 
-    /// Time to relax a field over the lattice: about 11 sweeps for every pitch of decay length, besides what a field is put
-    /// in order for.
+    /// Time to relax a field over the lattice: about 11 sweeps per pitch of decay length, plus the
+    /// field's setup.
     pub(crate) fn relaxation_ns(&self, decay_thicknesses: f64) -> f64 {
         const PER_MARKER_NS: f64 = 20.0;
         const PER_SWEEP_NS: f64 = 3.1;
@@ -89,15 +89,16 @@ impl<'a> Facts<'a> {
         (PER_MARKER_NS + PER_SWEEP_NS * 11.0 * reach.max(1.0)) * self.markers()
     }
 
-    /// How far a marker moves sideways, at most, when the contact changes for any reason: from all that the gel does one
-    /// way to all that it does the other way.
+    /// Largest sideways motion of a marker under any change of contact: from the full motion in one
+    /// direction to the full motion in the opposite one.
     pub(crate) fn when_contact_changes_mm(&self) -> f64 {
         let print_mm = self.scene.effects.misprint.as_ref().map_or(0.0, |misprint| misprint.shift_mm);
         2.0 * (self.sideways_mm - print_mm).max(0.0)
     }
 
-    /// Width of all heights, were they as high as the part is deep: the footprint, a pitch for what the lattice leaves open,
-    /// and the shoulder, which falls off as exp(-d / l) beside a strip and faster beside anything smaller.
+    /// Width of the heights if all equalled the part's depth: the footprint, a pitch for the lattice's
+    /// resolution, and the shoulder, which decays as exp(-d / l) beside a strip and faster beside
+    /// anything smaller.
     pub(crate) fn pressed_mm(&self) -> f64 {
         let (gel, effects) = (&self.scene.gel, &self.scene.effects);
         let shoulder =
@@ -111,26 +112,26 @@ impl<'a> Facts<'a> {
         self.scene.gel.dot_radius_mm * (1.0 + share)
     }
 
-    /// Least distance of two neighbouring dots as printed.
+    /// Smallest distance of two neighbouring dots as printed.
     pub(crate) fn least_pitch_mm(&self) -> f64 {
         let shift = self.scene.effects.misprint.as_ref().map_or(0.0, |misprint| misprint.shift_mm);
         self.scene.gel.pitch_mm - 2.0 * shift
     }
 
-    /// What height changes when a marker meets the part so far aside.
+    /// Height change when a marker meets the part this far aside.
     pub(crate) fn height_mm(&self, sideways_mm: f64) -> f64 {
         if sideways_mm > 0.0 { self.touch.depth_mm.min(self.touch.steepness * sideways_mm) } else { 0.0 }
     }
 
-    /// Of markers that move by up to so much sideways and along the sensor's z.
+    /// Bound for markers that move by up to this much sideways and along the sensor's z.
     pub(crate) fn moved(&self, sideways_mm: f64, depth_mm: f64) -> Bound {
         if !(sideways_mm > 0.0 || depth_mm > 0.0) {
             return Bound::NONE;
         }
         let Optics { lateral_px_per_mm, depth_px_per_mm, .. } = self.optics;
         let px = |share: f64| share * (lateral_px_per_mm * sideways_mm + depth_px_per_mm * depth_mm);
-        // A dot's outline also stretches with what its neighbours do: a point of it moves by the centre's motion and
-        // sqrt(2) r times the gradient's, at most 2 / pitch of the motion.
+        // A dot's outline also stretches with its neighbours' motion. A point of it moves by the
+        // centre's motion and sqrt(2) r times the motion's gradient, at most 2 / pitch of the motion.
         let stretch = 2.0 * core::f64::consts::SQRT_2 * self.dot_radius_mm() / self.least_pitch_mm();
         Bound {
             px: px(1.0) + 2.0 * self.ellipse_px(),
@@ -139,30 +140,30 @@ impl<'a> Facts<'a> {
         }
     }
 
-    /// Pixels of dots whose outlines move by so much: a convex curve crosses a pixel along 4 px at most, and what is within
-    /// so much of it is 4 d + π d² of the pixel.
+    /// Level change of pixels when dot outlines move by d. A convex curve crosses a pixel along 4 px at
+    /// most, and the area within d of it is 4 d + π d² of the pixel.
     pub(crate) fn levels_of_outlines(&self, moved_px: f64) -> f64 {
         let share = moved_px * (4.0 + core::f64::consts::PI * moved_px);
         if moved_px > 0.0 { self.contrast_levels() * share.min(1.0) } else { 0.0 }
     }
 
-    /// What the light makes of one grey level at most.
+    /// Largest factor of the light on one grey level.
     pub(crate) fn gain(&self) -> f64 {
         self.scene.effects.uneven_light.as_ref().map_or(1.0, |light| light.span().1.max(1.0))
     }
 
-    /// Dot against gel in the brightest light.
+    /// Contrast between dot and gel in the brightest light.
     pub(crate) fn contrast_levels(&self) -> f64 {
         let gel = &self.scene.gel;
         f64::from(gel.bright_level - gel.dark_level) * self.gain()
     }
 
-    /// What the grain adds or takes at most, before the light.
+    /// Largest change by the grain, before the light.
     pub(crate) fn grain_levels(&self) -> f64 {
         self.scene.effects.grain.as_ref().map_or(0.0, crate::effects::Grain::most_levels)
     }
 
-    /// Darkest and brightest of the gel and its dots in any light, grain included.
+    /// Darkest and brightest level of the gel and its dots in any light, including grain.
     pub(crate) fn levels(&self) -> [f64; 2] {
         let (gel, effects) = (&self.scene.gel, &self.scene.effects);
         let [dark, bright] = [f64::from(gel.dark_level), f64::from(gel.bright_level)];
@@ -171,7 +172,8 @@ impl<'a> Facts<'a> {
         [low * if low > 0.0 { least.min(1.0) } else { most.max(1.0) }, high * most.max(1.0)]
     }
 
-    /// From the projected centre of a dot to its image's centroid, at most: see [`crate::effects::ellipse_bias_px`].
+    /// Upper bound of the distance from a dot's projected centre to its image's centroid: see
+    /// [`crate::effects::ellipse_bias_px`].
     pub(crate) fn ellipse_px(&self) -> f64 {
         crate::effects::ellipse_bias_px(self)
     }
@@ -199,17 +201,18 @@ impl Touch {
             depth_mm,
             steepness,
             span_mm,
-            // Of all shapes of that span a disc has the largest area.
+            // A disc has the largest area for a given span.
             footprint_mm2: (0.25 * core::f64::consts::PI * span_mm * span_mm)
                 .min(side(gel.rows) * side(gel.cols)),
             arm_mm: if matches!(shape, Shape::Sphere { .. }) { 0.0 } else { part.radius_mm() },
-            // Without a trajectory any contact may come.
+            // Without a trajectory any contact is possible.
             shear_mm: if scene.trajectory.is_empty() { f64::INFINITY } else { shear },
             twist_rad: if scene.trajectory.is_empty() { f64::INFINITY } else { twist },
         })
     }
 
-    /// The most that a marker which sticks to the part moves: shear, and twist about a point within the footprint.
+    /// Largest motion of a marker that sticks to the part: shear, and twist about a point within the
+    /// footprint.
     pub(crate) fn grip_mm(&self) -> f64 {
         if self.depth_mm > 0.0 {
             let half = 0.5 * self.twist_rad.min(core::f64::consts::PI);
@@ -235,7 +238,7 @@ impl Part<'_> {
         }
     }
 
-    /// Farthest point from the origin.
+    /// Distance of the farthest point from the origin.
     fn radius_mm(&self) -> f64 {
         match self {
             Self::Solid(Shape::Sphere { radius_mm }) => *radius_mm,
@@ -248,8 +251,9 @@ impl Part<'_> {
         }
     }
 
-    /// How far it reaches beyond the rest surface in any frame. Between two keyframes its depth is linear but for its
-    /// turn, by which its nearest point moves no more than its radius times the angle to the nearer keyframe.
+    /// Largest depth beyond the rest surface in any frame. Between two keyframes the depth is linear
+    /// except for the rotation, which moves the nearest point by at most its radius times the angle to
+    /// the nearer keyframe.
     fn depth_mm(&self, scene: &Scene) -> f64 {
         let depth = |pose: &Pose| {
             let towards_camera = pose.rotation.conjugate() * DVec3::NEG_Z;
@@ -266,7 +270,7 @@ impl Part<'_> {
         deepest
     }
 
-    /// Longest chord of its section with a plane so deep, and the steepness of what lies before the plane.
+    /// Longest chord of the section at this depth, and the steepness of the part in front of it.
     fn footprint(&self, depth_mm: f64) -> (f64, f64) {
         let radius_mm = self.radius_mm();
         let left = radius_mm - depth_mm;
@@ -299,7 +303,8 @@ impl Optics {
         for corner in facts.corners() {
             found.widen(&through, &bare, corner);
         }
-        // Farther out nothing is seen; the columns of the projection's Jacobian are f / z and f / z times the slope.
+        // Points farther out are invisible. The columns of the projection's Jacobian are f / z, and f /
+        // z times the slope.
         found.slope =
             found.slope.min(cameras.iter().fold(0.0, |most, camera| most.max(widest_slope(camera))));
         found.depth_px_per_mm =
@@ -311,7 +316,7 @@ impl Optics {
         found
     }
 
-    /// Takes a point into account.
+    /// Extends the worst case to a point.
     fn widen(&mut self, through: &Rig, bare: &Rig, point_mm: DVec3) {
         for view in [View::Left, View::Right] {
             let views = [through.view(view), bare.view(view)];
@@ -338,8 +343,8 @@ impl Optics {
     }
 }
 
-/// Slope of the farthest corner of an image, with and without the lens's distortion; infinite where the distortion is
-/// not one-to-one.
+/// Slope of the farthest corner of an image, with and without lens distortion; infinite where the
+/// distortion is not one-to-one.
 fn widest_slope(camera: &Camera) -> f64 {
     let (right, bottom) = (camera.width_px as f64 - 0.5, camera.height_px as f64 - 0.5);
     let corners =
@@ -350,14 +355,14 @@ fn widest_slope(camera: &Camera) -> f64 {
     })
 }
 
-/// The larger singular value of a 2x2 matrix by its rows.
+/// The larger singular value of a 2x2 matrix, given its rows.
 fn larger(a: DVec2, b: DVec2) -> f64 {
     let (half, det) = (0.5 * (a.length_squared() + b.length_squared()), a.perp_dot(b));
     sqrt(half + sqrt((half * half - det * det).max(0.0)))
 }
 
-/// The most that a lens stretches distances between points up to this slope: the largest singular value of its
-/// Jacobian, term by term.
+/// Upper bound of a lens's stretch of distances between points up to this slope: the largest singular
+/// value of its Jacobian, term by term.
 fn stretch(camera: &Camera, slope: f64) -> f64 {
     let [k1, k2, p1, p2, k3] = camera.distortion.map(f64::abs);
     let s2 = slope * slope;
@@ -365,14 +370,14 @@ fn stretch(camera: &Camera, slope: f64) -> f64 {
 }
 
 impl Facts<'_> {
-    /// Corners of boxes that hold all markers with their dots at all times.
+    /// Corners of boxes that contain all markers with their dots at all times.
     fn corners(&self) -> impl Iterator<Item = DVec3> {
         let gel = &self.scene.gel;
         let half = DVec2::new((gel.cols - 1) as f64, (gel.rows - 1) as f64) * (0.5 * gel.pitch_mm);
         let more = self.sideways_mm + 2.0 * self.dot_radius_mm();
         let moves = &self.scene.gel_motion;
         let turns = moves.iter().any(|k| k.rotation_rad != 0.0);
-        // A gel that turns stays within the circle about it.
+        // A rotating gel stays within the circle through its corners.
         let half = if turns { DVec2::splat(half.length()) } else { half } + more;
         let angle = if turns { 0.0 } else { gel.rotation_rad };
         let (along, across) = (DVec2::new(cos(angle), sin(angle)), DVec2::new(-sin(angle), cos(angle)));

@@ -1,14 +1,15 @@
-//! Which effects a scene needs.
+//! Selection of the effects that a scene needs.
 //!
-//! A scene may say what is asked of it ([`Asked`]) and how its effects are switched ([`Switches`]). Before anything is
-//! simulated, every effect gives an upper bound of what it would change ([`Bound`]); effects on auto are switched off
-//! from the smallest bound on, as long as the bounds of all that are off together stay within the tolerance. Since each
-//! bound holds whichever others are on, what is simulated is within the tolerance of the whole scene, in every frame of
-//! its trajectory. (Contacts that are not on the trajectory are simulated with the same effects, without that promise;
-//! without a trajectory the bounds hold for every contact.)
+//! A scene may state its requirements ([`Asked`]) and switches for its effects ([`Switches`]). Before
+//! the simulation, every effect computes an upper bound of the change it causes ([`Bound`]). Effects on
+//! auto are switched off in order of increasing bound, as long as the sum of all switched-off bounds
+//! stays within the tolerance. Each bound holds whichever other effects are on. The simulation is
+//! therefore within the tolerance of the full scene, in every frame of its trajectory. (Contacts off the
+//! trajectory use the same effects without that guarantee; without a trajectory the bounds hold for
+//! every contact.)
 //!
-//! Effects that are off are taken out of the scene before the simulator is built: it is the simulator of a scene that
-//! never had them.
+//! Effects that are off are removed from the scene before the simulator is built, as if the scene never
+//! had them.
 
 mod asked;
 mod bound;
@@ -29,46 +30,46 @@ use alloc::string::String;
 use alloc::vec::Vec;
 use gelstereo_core::surface::TriangleMesh;
 
-/// What is computed of a scene and why.
+/// The effects that are computed for a scene, with reasons.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Plan {
-    /// What the scene asks.
+    /// The scene's requirement.
     pub asked: Option<Asked>,
-    /// Every effect that the scene has, in the order of their list.
+    /// Every effect of the scene, in list order.
     pub entries: Vec<Entry>,
-    /// The scene without what is off: what is simulated.
+    /// The simulated scene: without the effects that are off.
     pub scene: Scene,
 }
 
 /// One effect of a plan.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Entry {
-    /// Its name in a scene file; `refraction`, `lens_distortion` and `ellipse_bias` are the rig's own.
+    /// Its name in a scene file; `refraction`, `lens_distortion` and `ellipse_bias` belong to the rig.
     pub effect: &'static str,
-    /// The most that it would change.
+    /// Upper bound of the change it causes.
     pub bound: Bound,
     /// Whether it is computed.
     pub on: bool,
-    /// Why.
+    /// Reason.
     pub why: Why,
     /// Estimated time per stereo frame while it is on, nanoseconds.
     pub cost_ns: f64,
 }
 
-/// Why an effect is on or off.
+/// Reason why an effect is on or off.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize), serde(rename_all = "snake_case"))]
 pub enum Why {
-    /// The scene asks nothing, so all is computed.
+    /// The scene has no requirement, so everything is computed.
     NothingAsked,
-    /// The scene says so.
+    /// Set by the scene's switches.
     Switched,
-    /// Its bound, with those of all that are off before it, is within the tolerance.
+    /// The sum of its bound and those of all effects switched off before it is within the tolerance.
     WithinTolerance {
-        /// Sum of the bounds up to this one, in the unit of what is asked.
+        /// Sum of the bounds up to this one, in the requirement's unit.
         sum: f64,
     },
-    /// It is not.
+    /// That sum exceeds the tolerance.
     BeyondTolerance {
         /// Sum of the bounds up to this one.
         sum: f64,
@@ -82,7 +83,8 @@ impl Plan {
     /// As [`crate::Simulator::new`].
     pub fn of(scene: &Scene, mesh: Option<&TriangleMesh>) -> Result<Self, SceneError> {
         scene.validate()?;
-        // Bounds are those of the scene without what is forced off; its own are those of the whole scene.
+        // Bounds are computed without the effects that are forced off. Those of the forced-off effects
+        // themselves use the whole scene.
         let forced_off = |effect: &str| scene.switches.of(effect) == Some(Switch::Off);
         let rest = without(scene, forced_off);
         let rest = described(&Facts::of(&rest, mesh)?);
@@ -105,7 +107,7 @@ impl Plan {
         Ok(Self { asked: scene.asked, scene: pruned, entries })
     }
 
-    /// What the effects that are off on auto may change together, at most, in the unit of what is asked.
+    /// Upper bound of the joint change by the effects that are off on auto, in the requirement's unit.
     #[must_use]
     pub fn left_out(&self) -> f64 {
         let sums = self.entries.iter().map(|entry| match entry.why {
@@ -131,21 +133,21 @@ fn described(facts: &Facts<'_>) -> Vec<(&'static str, Bound, f64)> {
     all.map(|(name, bound, cost_ns)| (name, behind(facts, name, bound), cost_ns)).collect()
 }
 
-/// What becomes of a bound in the images of effects that act later and depend on what they get.
+/// Adds to a bound in grey levels the change in later image effects that depend on their input.
 fn behind(facts: &Facts<'_>, effect: &str, bound: Bound) -> Bound {
     let effects = &facts.scene.effects;
     let mut levels = bound.levels;
     let before = |later: &[&str]| levels > 0.0 && !later.contains(&effect);
     let shots = effects.shot_noise.as_ref().filter(|_| before(&["shot_noise", "sensor_noise", "jpeg"]));
     let jpeg = effects.jpeg.as_ref().filter(|_| before(&["jpeg"]));
-    // √a - √b <= √(a - b), and levels are rounded before they are looked up.
+    // √a - √b <= √(a - b), and levels are rounded before the lookup.
     levels += shots.map_or(0.0, |shots| shots.most_levels(levels + 1.0));
-    // Each of two images is so far from what it was.
+    // Each of the two images is off by up to this bound.
     levels += jpeg.map_or(0.0, |jpeg| 2.0 * jpeg.bound(facts).levels + 1.0);
     Bound { levels, ..bound }
 }
 
-/// Switches off what may be, from the smallest bound on.
+/// Switches off effects on auto, in order of increasing bound.
 fn decide(asked: &Asked, switches: &Switches, entries: &mut [Entry]) {
     let mut auto: Vec<usize> = (0..entries.len())
         .filter(|&i| matches!(switches.of(entries[i].effect), None | Some(Switch::Auto)))
@@ -160,7 +162,7 @@ fn decide(asked: &Asked, switches: &Switches, entries: &mut [Entry]) {
     }
 }
 
-/// The scene without some of its effects, and with nothing asked.
+/// The scene without some of its effects, and without a requirement.
 fn without(scene: &Scene, off: impl Fn(&str) -> bool) -> Scene {
     let mut scene = Scene { asked: None, switches: Switches::default(), ..scene.clone() };
     scene.effects.remove(&off);

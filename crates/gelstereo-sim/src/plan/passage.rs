@@ -1,16 +1,16 @@
-//! How far the markers' images move within a short time, at most.
+//! Upper bounds of the motion of the markers' images within a short time.
 
 use crate::plan::{Effect, Facts};
 use gelstereo_core::math::{DVec2, so3};
 
-/// The fastest that part and gel move anywhere on their trajectories, per second.
+/// Maximum speeds of part and gel on their trajectories, per second.
 #[derive(Clone, Copy, Debug, Default)]
 struct Pace {
-    /// A point of the part in the plane of the gel and along the sensor's z; its turn included.
+    /// A point of the part, in the plane of the gel and along the sensor's z, including rotation.
     part_mm: [f64; 2],
-    /// What sticks to the part: its shear and twist.
+    /// Gel that sticks to the part: shear and twist.
     grip: f64,
-    /// A point of the gel that moves as a whole.
+    /// A point of the gel moving as a whole.
     gel_mm: f64,
 }
 
@@ -22,7 +22,7 @@ impl Pace {
             let (a, b) = (a.contact, b.contact);
             let away = b.t_sensor_object.translation_mm - a.t_sensor_object.translation_mm;
             let turn = so3::log(a.t_sensor_object.rotation.conjugate() * b.t_sensor_object.rotation).length();
-            // A ball that turns is where it was.
+            // Rotation does not move a ball.
             let turned = if turn > 0.0 { turn * facts.touch.arm_mm } else { 0.0 };
             let shear = DVec2::from_array(b.shear_mm) - DVec2::from_array(a.shear_mm);
             let grip = shear.length() + (b.twist_rad - a.twist_rad).abs() * facts.touch.span_mm;
@@ -44,14 +44,14 @@ impl Pace {
 }
 
 impl Facts<'_> {
-    /// The most that a marker's image moves within a time.
+    /// Largest motion of a marker's image within a time.
     pub(crate) fn passed_px(&self, time_s: f64) -> f64 {
         let (sideways_mm, depth_mm) = self.passed_mm(time_s);
         let ways = [(self.optics.lateral_px_per_mm, sideways_mm), (self.optics.depth_px_per_mm, depth_mm)];
         ways.into_iter().filter(|&(_, mm)| mm > 0.0).map(|(px_per_mm, mm)| px_per_mm * mm).sum()
     }
 
-    /// How far the image of a marker moves that follows part and gel: what to expect, not a bound.
+    /// Expected motion of the image of a marker that follows part and gel; not a bound.
     pub(crate) fn followed_px(&self, time_s: f64) -> f64 {
         let pace = Pace::of(self);
         let touches = self.touch.depth_mm > 0.0;
@@ -62,7 +62,7 @@ impl Facts<'_> {
             * ways.into_iter().filter(|&(_, mm)| mm > 0.0).map(|(px_per_mm, mm)| px_per_mm * mm).sum::<f64>()
     }
 
-    /// The most that a marker moves sideways and along the sensor's z within a time.
+    /// Largest motion of a marker sideways and along the sensor's z within a time.
     fn passed_mm(&self, time_s: f64) -> (f64, f64) {
         let pace = Pace::of(self);
         let gel_mm = time_s * pace.gel_mm;
@@ -76,15 +76,15 @@ impl Facts<'_> {
         if effects.elastic_layer.is_some() {
             return (gel_mm + self.when_contact_changes_mm(), 2.0 * self.touch.depth_mm);
         }
-        // A marker that the part comes to sticks from one moment to the next.
+        // A marker that comes into contact sticks at once.
         let stuck_mm =
             effects.drag.as_ref().map_or(0.0, |_| 2.0 * core::f64::consts::SQRT_2 * self.touch.grip_mm());
-        // A height is that of a part that has moved, and a membrane over heights that change by so much does no more.
+        // Heights follow the moved part, and a membrane over them changes by no more than they do.
         let rise_mm = |beside_mm: f64| {
             let steep = if beside_mm > 0.0 { self.touch.steepness * beside_mm } else { 0.0 };
             self.touch.depth_mm.min(down_mm + steep)
         };
-        // How far the gel spreads is in proportion to heights. What rises and what sinks are two of them.
+        // Spreading is proportional to heights; rising and sinking heights contribute separately.
         let spread_mm = effects.spread.as_ref().map_or(0.0, |spread| {
             2.0 * spread.sideways_mm(self) * rise_mm(meets_mm + stuck_mm) / self.touch.depth_mm
         });

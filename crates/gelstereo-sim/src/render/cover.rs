@@ -1,9 +1,10 @@
-//! How much of every pixel ink with sharp edges covers.
+//! Pixel coverage by ink with sharp edges.
 //!
-//! A row of pixels is cut by lines, along which coverage is exact. What a line from a to b covers of the pixels is a
-//! ramp over the pixel that holds a, less one over the pixel that holds b, and both are the running sum of two numbers
-//! each. So a line takes four additions however long it is, and one sum along the row serves all of its lines. Numbers
-//! are whole, 2^-16 of a pixel: nothing is left beside the ink.
+//! A row of pixels is cut by horizontal lines, along which coverage is exact. The coverage by a line
+//! from a to b is a ramp over the pixel that contains a, minus one over the pixel that contains b. Each
+//! ramp is the running sum of two numbers. A line therefore takes four additions whatever its length,
+//! and one sum along the row serves all of its lines. Numbers are integers in units of 2^-16 of a pixel,
+//! so nothing remains beside the ink.
 
 use super::shape::{Shape, each_interval};
 use gelstereo_core::math::{ceil, floor};
@@ -14,13 +15,14 @@ const LINES: usize = 8;
 /// Parts of a pixel along a line.
 const PARTS: i32 = 1 << 16;
 
-/// Added to a number below 2^35 it leaves parts of a pixel, rounded, in the lowest bits: 1.5 · 2^52 / 2^16.
+/// Adding this to a number below 2^35 leaves parts of a pixel, rounded, in the lowest bits: 1.5 · 2^52 /
+/// 2^16.
 const WHOLE_PARTS: f64 = 103_079_215_104.0;
 
-/// Most columns that are worked out at once; wider regions are drawn in parts.
+/// Maximum of columns that are computed at once; wider regions are drawn in strips.
 const MAX_COLUMNS: usize = 62;
 
-/// Adds the share of every pixel that lies within any of the regions, times `share`.
+/// Adds, times `share`, the share of every pixel that lies within any of the regions.
 pub(crate) fn cover(shapes: &[Shape], share: f64, canvas: &mut [f32], width: usize) {
     let height = canvas.len() / width;
     if !shapes.iter().any(|shape| shape.seen(0.0, [width, height])) {
@@ -30,7 +32,7 @@ pub(crate) fn cover(shapes: &[Shape], share: f64, canvas: &mut [f32], width: usi
     let Some((low, high)) = shapes.iter().map(bounds).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1))) else {
         return;
     };
-    // Half a pixel more: `as` rounds towards zero, and clamps.
+    // Half a pixel more because `as` rounds towards zero and clamps.
     let pixels = |low: f64, high: f64, size: usize| {
         let last = (ceil(high - 0.5).max(0.0) as usize).min(size - 1);
         (floor(low + 0.5).max(0.0) as usize, last + 1)
@@ -52,14 +54,14 @@ pub(crate) fn cover(shapes: &[Shape], share: f64, canvas: &mut [f32], width: usi
     }
 }
 
-/// Some pixels of a row.
+/// Consecutive pixels of a row.
 struct Strip {
     /// Left border of the first one.
     left: f64,
     columns: f64,
-    /// Whether ink lies beside them.
+    /// Whether ink extends beyond them.
     clipped: bool,
-    /// How much more each is covered than the one before, in parts of a line; nothing between two rows.
+    /// Change of coverage from the pixel before, in parts of a line; zero between two rows.
     sums: [i32; 65],
 }
 
@@ -75,14 +77,14 @@ impl Strip {
         }
     }
 
-    /// Lays lines over the pixels.
+    /// Adds the lines' coverage of the pixels.
     #[inline]
     fn lay<const COUNT: usize>(&mut self, [from, to]: [[f64; COUNT]; 2]) {
         self.ramps::<COUNT, 1>(from);
         self.ramps::<COUNT, -1>(to);
     }
 
-    /// All that lies right of some places, so many times.
+    /// Adds everything to the right of these places, `TIMES` times.
     #[inline]
     fn ramps<const COUNT: usize, const TIMES: i32>(&mut self, places: [f64; COUNT]) {
         let mut parts = [0; COUNT];
@@ -92,14 +94,14 @@ impl Strip {
             *parts = (x + WHOLE_PARTS).to_bits();
         }
         for parts in parts {
-            // Within 63 by the strip's width; said so that no check is left.
+            // At most 63 by the strip's width; the mask avoids a bounds check.
             let (column, before) = ((parts >> 16) as usize & 63, parts as i32 & (PARTS - 1));
             self.sums[column] += TIMES * (PARTS - before);
             self.sums[column + 1] += TIMES * before;
         }
     }
 
-    /// Adds what the lines cover, each so thick, and forgets them.
+    /// Adds the coverage by lines of this thickness to the row, and resets the sums.
     fn add(&mut self, thickness: f32, row: &mut [f32]) {
         let part = thickness / PARTS as f32;
         let mut covered = 0;
@@ -107,7 +109,7 @@ impl Strip {
             covered += core::mem::take(more);
             *pixel += part * covered as f32;
         }
-        // Beyond the last pixel a line's end may lie on its border.
+        // A line's end may lie on the border of the last pixel.
         self.sums[row.len()] = 0;
     }
 }
@@ -122,7 +124,7 @@ mod tests {
 
     const SIDES: [usize; 2] = [150, 40];
 
-    /// Of one pixel by brute force: the same lines, cut at its borders.
+    /// Coverage of one pixel by brute force: the same lines, cut at its borders.
     fn share(shapes: &[Shape], [x, y]: [usize; 2], rows: (f64, f64)) -> f64 {
         let (x, y) = (x as f64, y as f64);
         let (top, bottom) = (rows.0.max(y - 0.5), rows.1.min(y + 0.5));
@@ -145,8 +147,8 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(100))]
 
-        /// One region or several, wider than a strip, cut by the image's border. Ends are rounded to 2^-17 of a pixel on
-        /// either side; sums of a contrast's shares in 24 bits.
+        /// One or several regions, wider than a strip and cut by the image's border. Ends are rounded to
+        /// 2^-17 of a pixel on either side, and sums to 24 bits.
         #[test]
         fn coverage_is_that_of_lines_cut_at_every_pixel(
             places in prop::collection::vec((-20.0..170.0, -10.0..50.0, 0.3..90.0, 0.0..3.2), 1..4),

@@ -15,14 +15,14 @@ pub(crate) struct Dot {
 /// Points centre + a cos t + b sin t, pixels.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Ellipse {
-    /// Its centre, which is the centroid of the dot's image.
+    /// Centre of the ellipse: the centroid of the dot's image.
     pub centre_px: DVec2,
     /// Two conjugate half diameters: images of the dot's radii along the lattice's row and column.
     pub half_px: [DVec2; 2],
 }
 
 impl Dot {
-    /// Its image; the dot is in the sensor frame. `None` when a part of it is behind the camera.
+    /// Image of the dot, given in the sensor frame. `None` when a part of it is behind the camera.
     pub(crate) fn image(
         &self,
         view: &RigView<'_>,
@@ -40,7 +40,7 @@ impl Dot {
         dot.pinhole(view.camera())
     }
 
-    /// As if the image of its centre were its image's centre: the tangent of the projection there.
+    /// Image without ellipse bias: the tangent of the projection at the dot's centre.
     pub(crate) fn unbiased(&self, view: &RigView<'_>) -> Option<Ellipse> {
         let Projection { pixel_px, jacobian: [columns, rows], .. } =
             view.project_with_jacobian(self.centre, 0.0).ok()?;
@@ -48,8 +48,9 @@ impl Dot {
         Some(Ellipse { centre_px: pixel_px, half_px: [half(self.along), half(self.across)] })
     }
 
-    /// Before a pinhole. A circle's image is an ellipse whose centre is not the image of the circle's centre but
-    /// of the pole, with respect to the circle, of the line that vanishes: s = -(along.z, across.z) / centre.z.
+    /// Exact image of a pinhole. A circle's image is an ellipse. Its centre is not the image of the
+    /// circle's centre, but that of the pole of the vanishing line with respect to the circle: s =
+    /// -(along.z, across.z) / centre.z.
     fn pinhole(&self, camera: &Camera) -> Option<Ellipse> {
         let pole = -DVec2::new(self.along.z, self.across.z) / self.centre.z;
         let at = |s: DVec2| camera.project(self.centre + self.along * s.x + self.across * s.y);
@@ -57,9 +58,9 @@ impl Dot {
         Some(Ellipse { centre_px: at(pole)?, half_px: [half(DVec2::X)?, half(DVec2::Y)?] })
     }
 
-    /// Behind layers or a lens that distorts: six points of the outline give it as a Fourier series
-    /// m + a cos t + b sin t + d cos 2t + e sin 2t. The second harmonic bends the ellipse by nothing that matters
-    /// but moves the centroid of its region: by ∮ p (δp × dp) / area, to first order in d and e.
+    /// Image through layers or a distorting lens. Six points of the outline give its Fourier series m +
+    /// a cos t + b sin t + d cos 2t + e sin 2t. The second harmonic hardly bends the ellipse, but it
+    /// moves the centroid of its region by ∮ p (δp × dp) / area, to first order in d and e.
     fn traced(&self, view: &RigView<'_>) -> Option<Ellipse> {
         const TURN: [(f64, f64); 6] = {
             let (c, s) = (0.5, 0.866_025_403_784_438_6); // 60 degrees
@@ -96,7 +97,7 @@ impl Ellipse {
         sqrt(0.5 * (xx + yy + sqrt((xx - yy) * (xx - yy) + 4.0 * xy * xy)))
     }
 
-    /// How far it reaches from its centre along the image's rows and columns.
+    /// Its extent from the centre along the image's rows and columns.
     #[must_use]
     pub fn reach_px(&self) -> DVec2 {
         let [a, b] = self.half_px;
@@ -113,7 +114,7 @@ mod tests {
     use gelstereo_core::rig::{Rig, View};
     use proptest::prelude::*;
 
-    /// Area and centroid of the region that 4000 points of a dot's outline enclose.
+    /// Area and centroid of the polygon of 4000 points of a dot's outline.
     fn dense(dot: &Dot, view: &RigView<'_>) -> (f64, DVec2) {
         let at = |k: usize| {
             let t = TAU * k as f64 / 4000.0;
@@ -138,7 +139,7 @@ mod tests {
             let (area, centroid) = dense(dot, &view);
             let off = (found.centre_px - centroid).length();
             prop_assert!(off < tolerance_px, "{off} px from {centroid}");
-            // Of the area that it would have seen face on: nothing is left of a dot that is seen from its edge.
+            // Relative to the area seen face on, because a dot seen edge-on has no area.
             let [a, b] = found.half_px.map(DVec2::length_squared);
             let off_px2 = found.radius_px() * found.radius_px() * core::f64::consts::PI - area;
             let share = off_px2 / (core::f64::consts::PI * a.max(b));
@@ -160,8 +161,8 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(200))]
 
-        /// The whole gel of the second rig of the benchmarks, pressed up to 4 mm, tilted up to 50 degrees. What is left
-        /// out is third order in radius over distance: 5 px · (0.2 / 25)³ · a few.
+        /// The whole gel of the second rig of the benchmarks, pressed up to 4 mm, tilted up to 50
+        /// degrees. The error is third order in radius over distance: 5 px · (0.2 / 25)³ · a few.
         #[test]
         fn behind_layers_a_dot_has_its_regions_centroid(
             x in -3.0..13.0, y in -8.0..8.0, z in 24.0..28.5, a in -0.9..0.9, b in -0.9..0.9,
@@ -181,7 +182,8 @@ mod tests {
             let mut rig = Scene::default_rig();
             rig.left.distortion = [k1, k2, 0.002, -0.001, 0.0];
             rig.right.distortion = [k1, 0.0, -0.002, 0.001, 0.01];
-            // Third order again, 5 px · (0.22 / 28)³ · a few: most for dots that are seen nearly from their edge.
+            // Third order again, 5 px · (0.22 / 28)³ · a few: largest for dots that are seen nearly
+            // edge-on.
             check(&rig, &dot(x, y, 28.0, 0.22, [a, b], [1.1, 0.9]), 3e-5)?;
         }
 
@@ -193,7 +195,7 @@ mod tests {
             check(&Scene::default_rig(), &dot(x, y, 28.0, 0.45, [a, b], [1.1, 0.9]), 1e-6)?;
         }
 
-        /// Air all the way is no layer.
+        /// Layers of air are equivalent to no layers.
         #[test]
         fn layers_of_air_change_nothing(x in -3.0..13.0, y in -8.0..8.0, a in -0.9..0.9, b in -0.9..0.9) {
             let mut rig = Scene::default_rig();

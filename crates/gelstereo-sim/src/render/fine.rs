@@ -1,4 +1,5 @@
-//! Ink through a lens that blurs, on a canvas of fine pixels: slow, and right for whatever is drawn.
+//! Exact renderer of ink through a blurring lens, on a canvas of fine pixels: slow, but valid for any
+//! shape.
 
 use super::cover::cover;
 use super::lens::Lens;
@@ -8,14 +9,16 @@ use crate::effects::UnevenLight;
 use alloc::vec::Vec;
 use gelstereo_core::math::{DVec2, ceil, exp};
 
-/// Fine pixels per pixel along each axis, at least. What is finer than a pixel is coarse once it is sampled, and the lens
-/// does not remove it then: with 2 a dot lies up to 0.002 px off, with 8 up to 3e-5 px.
+/// Minimum of fine pixels per pixel along each axis. Detail finer than a fine pixel is aliased to low
+/// frequencies, which the lens does not remove: with 2 a dot is up to 0.002 px off, with 8 up to 3e-5
+/// px.
 const TIMES: usize = 8;
 
-/// Fine pixels per sigma of the lens, at least: its Gaussian is sampled with an error of 2 exp(-2 π² 1.6²).
+/// Minimum of fine pixels per sigma of the lens: its Gaussian is sampled with an error of 2 exp(-2 π²
+/// 1.6²).
 const PER_SIGMA: f64 = 1.6;
 
-/// Rows of the image that are drawn at once.
+/// Image rows that are drawn at once.
 const BAND: usize = 16;
 
 /// Draws blurred ink.
@@ -23,7 +26,8 @@ const BAND: usize = 16;
 pub(crate) struct Fine {
     times: usize,
     reach: usize,
-    /// Of the fine pixels along one axis, from `reach` pixels before the pixel to as many behind it.
+    /// Weights of the fine pixels along one axis, from `reach` pixels before the pixel to as many behind
+    /// it.
     weights: Vec<f32>,
     group: Vec<Shape>,
     band: Vec<f32>,
@@ -36,12 +40,12 @@ impl Fine {
         Self::finer(lens, TIMES)
     }
 
-    /// With at least so many fine pixels per pixel.
+    /// With at least this many fine pixels per pixel.
     pub(super) fn finer(lens: Lens, times: usize) -> Self {
         let times = times.max(ceil(PER_SIGMA / lens.sigma_px) as usize);
-        let reach = lens.reach() + 1; // for comparison with who sees less far
+        let reach = lens.reach() + 1; // for comparison with renderers of smaller reach
         let sigma = lens.sigma_px * times as f64;
-        // A pixel is the sum of its fine pixels, each of which the Gaussian spreads.
+        // A pixel is the sum of its fine pixels, each blurred by the Gaussian.
         let spread = |k: usize| {
             let own = (reach * times..(reach + 1) * times).map(|m| (k as f64 - m as f64) / sigma);
             own.map(|t| exp(-0.5 * t * t)).sum::<f64>()
@@ -52,7 +56,7 @@ impl Fine {
         Self { times, reach, weights, group: Vec::new(), band: Vec::new(), narrow: Vec::new() }
     }
 
-    /// Adds a share of what every pixel sees of the ink, in the light that falls on it.
+    /// Adds `share` of the blurred ink to every pixel, in the light that falls on it.
     pub(crate) fn draw(
         &mut self,
         (shapes, overlaps): (&[Shape], &Overlaps),

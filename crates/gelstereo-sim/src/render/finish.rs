@@ -1,26 +1,26 @@
-//! From ink to grey levels: the gel below it, light, smears, noise and rounding.
+//! From ink to grey levels: the gel behind the ink, light, smears, noise and rounding.
 
 use super::lens::Lens;
 use crate::effects::{Blur, Gain, Noise, RUN, Shots, SmearsOfView, Texture};
 use alloc::vec::Vec;
 use gelstereo_core::math::random::Stream;
 
-/// What turns the ink of one view into an image.
+/// Converts the ink of one view into an image.
 pub(crate) struct Finish<'a> {
     pub(crate) base: &'a Base,
-    /// Level of full ink less that of the gel.
+    /// Level of full ink minus that of the gel.
     pub(crate) contrast: f32,
-    /// `None` when the ink is lit already, or light is even.
+    /// `None` when the ink is already lit, or the light is even.
     pub(crate) gain: Option<&'a Gain>,
     pub(crate) smears: Option<&'a SmearsOfView>,
     pub(crate) time_s: f64,
-    /// As `noise`.
+    /// The shot noise and its random stream for this image.
     pub(crate) shots: Option<(&'a Shots, Stream)>,
-    /// The noise and its numbers for this image.
+    /// The noise and its random stream for this image.
     pub(crate) noise: Option<(&'a Noise, Stream)>,
 }
 
-/// The gel without ink, as the lens shows it: nothing of it moves, so it is worked out once.
+/// The gel without ink, behind the lens: it is static and computed once.
 #[derive(Clone, Debug)]
 pub(crate) enum Base {
     /// One row for all.
@@ -64,14 +64,14 @@ impl Base {
     }
 }
 
-/// Pixels that are finished at once: a random number's worth of noise.
+/// Pixels that are finished at once: they share one random number for noise.
 const PIECE: usize = 2 * RUN;
 
 type Piece = [f32; PIECE];
 
 impl Finish<'_> {
-    /// Turns the ink that every pixel sees into levels, and leaves none of it. `row` holds levels where an effect takes a
-    /// row of them.
+    /// Converts the ink of every pixel to levels, and resets the ink to 0. `row` is a buffer for effects
+    /// that act on whole rows.
     pub(crate) fn develop(mut self, ink: &mut [f32], width: usize, row: &mut Vec<f32>, image: &mut Vec<u8>) {
         image.resize(ink.len(), 0);
         row.resize(width, 0.0);
@@ -91,7 +91,7 @@ impl Finish<'_> {
         }
     }
 
-    /// What acts on whole rows.
+    /// Effects that act on whole rows.
     fn spoil(&mut self, y: usize, row: &mut [f32]) {
         if let Some(smears) = self.smears {
             smears.apply(self.time_s, y, row);
@@ -102,7 +102,7 @@ impl Finish<'_> {
     }
 }
 
-/// What is kept of a piece of levels. (All of it by value and in one place: so it becomes vectors.)
+/// Output of a piece of levels. (By value and in one place, so that it vectorises.)
 trait Kept: Copy {
     fn of(levels: Piece, noise: &mut Option<(&Noise, Stream)>) -> [Self; PIECE];
 }
@@ -123,8 +123,8 @@ impl Kept for u8 {
     }
 }
 
-/// Lays a row's ink over what is behind it, and leaves none of it. Behind it is the gel, and the gain: the row's share and
-/// the columns'. Hands back the noise.
+/// Composites a row's ink over the gel, with the gain (the row's term and the columns' terms), and
+/// resets the ink to 0. Returns the noise.
 fn lay<'a, T: Kept>(
     contrast: f32,
     (gel, gain): (&[f32], Option<(f32, &[f32])>),
@@ -150,7 +150,7 @@ fn lay<'a, T: Kept>(
     noise
 }
 
-/// Levels of ink over the gel, with the gain's shares if light is uneven.
+/// Levels of ink over the gel, with the gain's terms if light is uneven.
 #[inline(always)]
 fn lit(contrast: f32, (row, columns): (f32, Option<&Piece>), gel: Piece, ink: Piece) -> Piece {
     match columns {
@@ -170,8 +170,8 @@ fn padded(levels: &[f32]) -> Piece {
     piece
 }
 
-/// Noise, and rounding to the nearest level from 0 to 255. Beyond 2^23 numbers are whole, so that adding it rounds, and the
-/// lowest bits are the level.
+/// Adds noise and rounds to the nearest level from 0 to 255. Numbers above 2^23 are whole, so adding
+/// 2^23 rounds, and the lowest bits are the level.
 #[inline(always)]
 fn expose(levels: Piece, noise: &mut Option<(&Noise, Stream)>) -> [u8; PIECE] {
     const WHOLE: f32 = 8_388_608.0;
@@ -183,7 +183,7 @@ fn expose(levels: Piece, noise: &mut Option<(&Noise, Stream)>) -> [u8; PIECE] {
         None => levels,
     };
     levels.map(|level| {
-        // `f32::clamp` keeps a NaN, which nobody hands over, and takes longer.
+        // `f32::clamp` keeps NaN, which does not occur here, and is slower.
         let within = if level < 255.0 { level } else { 255.0 };
         let positive = if within > 0.0 { within } else { 0.0 };
         (positive + WHOLE).to_bits() as u8

@@ -1,8 +1,8 @@
-//! What a pixel sees through a lens that blurs: a Gaussian of the lens, integrated over the pixel's square.
+//! Response of a pixel behind a blurring lens: the lens's Gaussian, integrated over the pixel's square.
 
 use gelstereo_core::math::{ceil, erf, exp, sqrt};
 
-/// The weights along one axis; those of the two axes multiply.
+/// The weights along one axis; the weights of the two axes multiply.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Lens {
     pub(crate) sigma_px: f64,
@@ -14,23 +14,23 @@ impl Lens {
         self.below(x_px + 0.5) - self.below(x_px - 0.5)
     }
 
-    /// Weight of all that lies below `x_px`: the integral of [`Self::point`].
+    /// Weight of everything below `x_px`: the integral of [`Self::point`].
     pub(crate) fn edge(self, x_px: f64) -> f64 {
         self.ramp(x_px + 0.5) - self.ramp(x_px - 0.5)
     }
 
-    /// Weight of a pixel that is evenly bright, `x_px` away: the mean of [`Self::point`] over it.
+    /// Weight of a pixel of uniform brightness, `x_px` away: the mean of [`Self::point`] over it.
     pub(crate) fn pixel(self, x_px: f64) -> f64 {
         self.edge(x_px + 0.5) - self.edge(x_px - 0.5)
     }
 
-    /// Variance along one axis, px²: the Gaussian's and the square's.
+    /// Variance along one axis, px²: the Gaussian's plus the square's.
     pub(crate) fn variance_px2(self) -> f64 {
         self.sigma_px * self.sigma_px + 1.0 / 12.0
     }
 
-    /// How far from a pixel's centre points count along each axis: beyond lie, to either side, 2e-5 of the
-    /// weight at the usual 0.8 px, and 9e-5 at most.
+    /// Distance from a pixel's centre at which weights are cut off along each axis. Each side loses 2e-5
+    /// of the weight at the usual 0.8 px, and 9e-5 at most.
     pub(crate) fn reach_px(self) -> f64 {
         0.5 + 3.75 * self.sigma_px
     }

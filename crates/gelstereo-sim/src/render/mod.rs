@@ -1,9 +1,10 @@
 //! Images of the printed dots.
 //!
-//! An image is the gel, which never changes and is worked out once ([`Base`]), and the ink on it, which every pixel sees
-//! through the lens. For the ink there are two rungs, [`Images`](crate::scene::Images): [`Soft`] adds up line integrals in
-//! closed form within every dot's window; [`Fine`], what it is tested against, draws on a canvas of fine pixels and
-//! filters that. Without a lens that blurs both are the share of every pixel that ink covers.
+//! An image consists of the gel, which is static and computed once ([`Base`]), and the ink on it, seen
+//! through the lens. There are two rungs for the ink, [`Images`](crate::scene::Images). [`Soft`] sums
+//! line integrals in closed form within every dot's window. [`Fine`], its reference, draws on a canvas
+//! of fine pixels and filters that. Without a blurring lens, both are the share of every pixel that ink
+//! covers.
 
 mod cover;
 mod dot;
@@ -35,15 +36,15 @@ use shape::Shape;
 use shutter::longest_px;
 use soft::Soft;
 
-/// When an image is taken.
+/// Frame and time of an image.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Exposure {
-    /// Keys the noise.
+    /// Seeds the noise.
     pub(crate) frame: u64,
     pub(crate) time_s: f64,
 }
 
-/// Draws the dots of one moment, and what the camera does to them.
+/// Draws the dots of one moment and applies the camera's effects.
 #[derive(Clone, Debug)]
 pub(crate) struct Renderer {
     printed: Vec<bool>,
@@ -59,13 +60,13 @@ pub(crate) struct Renderer {
     noise: Option<Noise>,
     codec: Option<Codec>,
     ink: Ink,
-    /// What every pixel sees of the ink; nothing between two images.
+    /// Ink seen by every pixel; zero between two images.
     canvas: Vec<f32>,
     /// A row of grey levels.
     levels: Vec<f32>,
 }
 
-/// How ink is drawn.
+/// Method of drawing ink.
 #[derive(Clone, Debug)]
 enum Pen {
     Sharp,
@@ -83,19 +84,20 @@ struct View {
     smears: Option<SmearsOfView>,
 }
 
-/// Ink of one image: regions, those of the ellipses first. Where they overlap it counts once.
+/// Ink of one image: regions, the ellipses first. Overlapping ink counts once.
 #[derive(Clone, Debug, Default)]
 struct Ink {
     ellipses: Vec<Ellipse>,
     shapes: Vec<Shape>,
-    /// How far each of them moves while the shutter is open; empty when none does.
+    /// Motion of each region during the exposure; empty without motion.
     ways_px: Vec<DVec2>,
     overlaps: Overlaps,
     group: Vec<Shape>,
 }
 
 impl Renderer {
-    /// `end_s` is the sequence's end, by which random smears have begun; `bridges` the ink between dots.
+    /// `start_s` and `end_s` span the sequence, in which random smears begin; `bridges` is the ink
+    /// between dots.
     pub(crate) fn new(scene: &Scene, [start_s, end_s]: [f64; 2], bridges: Vec<Bridge>) -> Self {
         let gel = &scene.gel;
         let mut printed = Vec::new();
@@ -145,7 +147,7 @@ impl Renderer {
         }
     }
 
-    /// What there is to know about a marker's dot in one view (0 left, 1 right).
+    /// Describes a marker's dot in one view (0 left, 1 right).
     pub(crate) fn describe(&self, view: usize, marker: usize, outline: Ellipse, time_s: f64) -> DotImage {
         let View { width, height, smears, .. } = &self.views[view];
         let size = DVec2::new(*width as f64, *height as f64);
@@ -169,7 +171,7 @@ impl Renderer {
         DotImage { outline, contrast_levels, sight }
     }
 
-    /// One view (0 left, 1 right) of the dots that `truth` describes.
+    /// Draws one view (0 left, 1 right) of the dots in `truth`.
     pub(crate) fn draw(&mut self, view: usize, truth: &Truth, exposure: Exposure, image: &mut Vec<u8>) {
         self.gather(view, truth);
         let View { name, width, height, base, gain, smears } = &self.views[view];
@@ -198,7 +200,7 @@ impl Renderer {
         }
     }
 
-    /// Collects the ink that is in the image; a truth of another lattice has none.
+    /// Collects the visible ink; none if `truth` has a different lattice.
     fn gather(&mut self, view: usize, truth: &Truth) {
         let (dots, specks, motion_px) = match view {
             0 => (&truth.left_dots, &truth.left_specks, &truth.left_motion_px),
@@ -244,13 +246,14 @@ impl Renderer {
     }
 }
 
-/// Light is weighed where the ink is, before the lens spreads it: with light L that grows evenly over a pixel's view, and
-/// weights w of variance s² that are a Gaussian's, or nearly, ∫ w(u) L(x - u) c(x - u) du = L(x) b(x) + s² ∇L · ∇b(x) for
-/// ink c and its blurred image b (Stein 1981), which is L(x) b(x + s² ∇L / L): the light of the pixel on ink that is that
-/// much nearer to the dark.
+/// Light acts on the ink before the lens blurs it. Let the light L be linear over a pixel's view, and
+/// the weights w nearly Gaussian with variance s². For ink c and its blurred image b, ∫ w(u) L(x - u)
+/// c(x - u) du = L(x) b(x) + s² ∇L · ∇b(x) (Stein 1981), which is L(x) b(x + s² ∇L / L). This is the
+/// light at the pixel, on ink displaced by that much towards the dark.
 fn displacement(light: &UnevenLight, lens: Lens, at: DVec2, size: [usize; 2]) -> DVec2 {
     let size = DVec2::new(size[0] as f64, size[1] as f64);
-    // Light that doubles within a pixel is as good as none; a step by half a sigma is far more than it takes.
+    // Light that doubles within a pixel is practically zero. Half a sigma exceeds any relevant
+    // displacement.
     let most = 0.5 * lens.sigma_px;
     -(light.growth(at, size) * lens.variance_px2()).clamp_length_max(most)
 }
@@ -268,7 +271,7 @@ impl Ink {
         }
     }
 
-    /// A region's way while the shutter is open.
+    /// A region's motion during the exposure.
     fn way_px(ways_px: &[DVec2], region: usize) -> DVec2 {
         ways_px.get(region).copied().unwrap_or_default()
     }
@@ -302,7 +305,7 @@ impl Ink {
         }
     }
 
-    /// The mean of many moments.
+    /// Averages several moments of the exposure.
     fn fine(&mut self, fine: &mut Fine, light: Option<&UnevenLight>, canvas: &mut [f32], width: usize) {
         let Self { shapes, ways_px, overlaps, group, .. } = self;
         let moments = 1 + ceil(longest_px(ways_px.iter().copied()) * FINE_MOMENTS_PER_PX) as usize;
@@ -315,11 +318,12 @@ impl Ink {
     }
 }
 
-/// Moments of an exposure on the fine canvas, per pixel of the longest way: a mean over steps of h is off by h² / 24
-/// of a second derivative, 1e-4 for a lens of 0.8 px.
+/// Moments of an exposure on the fine canvas, per pixel of the longest path. A mean over steps of h is
+/// off by h² / 24 of a second derivative, 1e-4 for a lens of 0.8 px.
 const FINE_MOMENTS_PER_PX: f64 = 12.0;
 
-/// The places of regions that move together, as shares of their ways from the middle, with their weights.
+/// Calls `draw` for every sample of regions that move together: its position as a share of their paths
+/// from the middle, and its weight.
 fn each_place(
     shutter: Option<&Shutter>,
     ways_px: &[DVec2],

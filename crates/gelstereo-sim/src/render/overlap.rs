@@ -1,25 +1,25 @@
-//! Which regions overlap.
+//! Groups of overlapping regions.
 
 use super::shape::Shape;
 use alloc::vec::Vec;
 
-/// Regions joined where they may overlap.
+/// Connected components of regions that may overlap.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Overlaps {
     /// Regions from the top of the image downwards.
     order: Vec<usize>,
-    /// A region of the same group with a lower number, or itself: the group's first.
+    /// A region of the same group with a lower index; itself for the group's first region.
     towards_first: Vec<usize>,
-    /// How many there are in the group of which a region is the first; 0 for the others.
+    /// Size of the group whose first region this is; 0 for other regions.
     members: Vec<usize>,
-    /// Regions group by group.
+    /// Regions, group by group.
     grouped: Vec<usize>,
-    /// Where each group ends there.
+    /// End of each group in `grouped`.
     ends: Vec<usize>,
 }
 
 impl Overlaps {
-    /// Makes room for so many regions.
+    /// Reserves memory for this many regions.
     pub(crate) fn reserve(&mut self, regions: usize) {
         let Self { order, towards_first, members, grouped, ends } = self;
         for list in [order, towards_first, members, grouped, ends] {
@@ -61,7 +61,7 @@ impl Overlaps {
         }
     }
 
-    /// The groups, each in order, and in the order of their first regions.
+    /// The groups in the order of their first regions, each sorted.
     pub(crate) fn groups(&self) -> impl Iterator<Item = &[usize]> {
         let starts = core::iter::once(0).chain(self.ends.iter().copied());
         starts.zip(&self.ends).map(|(start, &end)| &self.grouped[start..end])
@@ -85,7 +85,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(200))]
 
-        /// Against the transitive closure of the pairs that overlap.
+        /// Against the transitive closure of the overlapping pairs.
         #[test]
         fn groups_are_the_connected_components(
             places in prop::collection::vec((0.0..60.0, 0.0..60.0, 1.0..8.0, 1.0..8.0), 1..30),

@@ -1,21 +1,22 @@
-//! A function of the distance, wanted at whole steps from anywhere.
+//! Tabulated function of the distance, evaluated at whole steps from any position.
 
 use alloc::vec::Vec;
 
-/// Steps of the table per pixel. Between them the function is linear: off by at most an eighth of its second derivative
-/// and a squared step, 5e-6 for a lens of 0.8 px.
+/// Steps of the table per pixel. Linear interpolation is off by at most an eighth of the second
+/// derivative times a squared step: 5e-6 for a lens of 0.8 px.
 const STEPS: usize = 1 << LOG_STEPS;
 const LOG_STEPS: u32 = 7;
 
-/// Added to a number of the size of an image it leaves whole steps, rounded, in the lowest bits: 1.5 · 2^52 / 2^7.
+/// Adding this to an image coordinate leaves it in whole steps, rounded, in the lowest bits: 1.5 · 2^52
+/// / 2^7.
 const WHOLE_STEPS: f64 = 52_776_558_133_248.0;
 
-/// Values that are worked out at once: vectors, with luck.
+/// Values that are computed at once, for vectorisation.
 pub(crate) const BLOCK: usize = 4;
 
 pub(crate) type Block = [f32; BLOCK];
 
-/// A table of it, from so far before a place to as far behind it.
+/// Table of the function, from `reach` before a position to `reach` behind it.
 #[derive(Clone, Debug)]
 pub(crate) struct Profile {
     reach: usize,
@@ -25,13 +26,13 @@ pub(crate) struct Profile {
     values: Vec<f32>,
 }
 
-/// The function about one place.
+/// The function around one position.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct About<'a> {
-    /// Two rows, of `taps` each, and what follows them.
+    /// Two rows of `taps` each, followed by the rest of the table.
     rows: &'a [f32],
     taps: usize,
-    /// Of the second row.
+    /// Interpolation weight of the second row.
     share: f32,
 }
 
@@ -45,16 +46,17 @@ impl Profile {
         Self { reach, taps, values: distances.map(|x| x.map_or(0.0, |x| at(x) as f32)).collect() }
     }
 
-    /// Values in a row, those that fill its last block included.
+    /// Values in a row, including padding of its last block.
     pub(crate) fn taps(&self) -> usize {
         self.taps
     }
 
-    /// At whole places from `x` on, whole ones included: the first is `x` rounded up and less the reach, which is returned
-    /// as well, and there are twice the reach of them. `x` is a place in an image, or about one.
+    /// Values at whole positions around `x`, which may be whole itself. The first position is `x`
+    /// rounded up minus the reach, and is returned too; there are twice the reach of them. `x` is a
+    /// position in or near an image.
     #[inline]
     pub(crate) fn about(&self, x: f64) -> (About<'_>, i32) {
-        // Half a step less is rounded downwards.
+        // Subtracting half a step turns rounding into rounding down.
         let shifted = x - 0.5 / STEPS as f64 + WHOLE_STEPS;
         let below = shifted.to_bits() as i32;
         let share = ((x - (shifted - WHOLE_STEPS)) * STEPS as f64) as f32;
@@ -65,7 +67,7 @@ impl Profile {
 }
 
 impl About<'_> {
-    /// The values from the `first` on, in whole blocks, of which there must be as many.
+    /// The values from index `first` on, in whole blocks; the table must have as many.
     #[inline(always)]
     pub(crate) fn blocks<const BLOCKS: usize>(self, first: usize) -> [Block; BLOCKS] {
         let mut values = [Block::default(); BLOCKS];
@@ -80,12 +82,12 @@ impl About<'_> {
         values
     }
 
-    /// All values, times `scale`; `out` has room for them in whole blocks.
+    /// All values times `scale`; `out` has room for them in whole blocks.
     #[inline]
     pub(crate) fn weigh(self, scale: f32, out: &mut [f32]) {
         let [before, after] = [0, self.taps].map(|start| self.rows[start..].as_chunks::<BLOCK>().0);
         for (out, (before, after)) in out.as_chunks_mut().0.iter_mut().zip(before.iter().zip(after)) {
-            let mut weights = *before; // by value: nothing that is written is read again
+            let mut weights = *before; // by value: written data is not read again
             for (weight, next) in weights.iter_mut().zip(after) {
                 *weight = scale * (*weight + self.share * (next - *weight));
             }

@@ -1,4 +1,4 @@
-//! What ink covers: ellipses and bars, cut by horizontal lines.
+//! Regions covered by ink: ellipses and bars, cut by horizontal lines.
 
 use super::Ellipse;
 use gelstereo_core::math::{DVec2, sqrt};
@@ -8,14 +8,14 @@ use gelstereo_core::math::{DVec2, sqrt};
 pub(crate) struct Shape {
     pub(crate) low: DVec2,
     pub(crate) high: DVec2,
-    /// Of a circle about its middle that holds it.
+    /// Radius of a circle about its middle that contains it.
     radius: f64,
     outline: Outline,
 }
 
 #[derive(Clone, Copy, Debug)]
 enum Outline {
-    /// A line at dy from the centre is cut from dy·slope -+ widest·sqrt(1 - dy² per_yy).
+    /// A line at dy from the centre is cut at dy·slope -+ widest·sqrt(1 - dy² per_yy).
     Ellipse {
         centre: DVec2,
         per_yy: f64,
@@ -26,7 +26,7 @@ enum Outline {
 }
 
 impl Shape {
-    /// `None` when it has no area or no place.
+    /// `None` for an ellipse without area or with a non-finite place.
     pub(crate) fn ellipse(ellipse: &Ellipse) -> Option<Self> {
         let ([a, b], centre) = (ellipse.half_px, ellipse.centre_px);
         let (xy, yy) = (a.x * a.y + b.x * b.y, a.y * a.y + b.y * b.y);
@@ -46,7 +46,7 @@ impl Shape {
         })
     }
 
-    /// Corners in order round the bar; `None` when one has no place.
+    /// Corners in order around the bar; `None` if one is not finite.
     pub(crate) fn bar(corners: [DVec2; 4]) -> Option<Self> {
         let low = corners.iter().fold(DVec2::INFINITY, |low, &corner| low.min(corner));
         let high = corners.iter().fold(DVec2::NEG_INFINITY, |high, &corner| high.max(corner));
@@ -59,13 +59,13 @@ impl Shape {
         })
     }
 
-    /// Whether any of it, widened so far, is in an image of that size.
+    /// Whether any of it, widened by `widened`, is in an image of that size.
     pub(crate) fn seen(&self, widened: f64, size: [usize; 2]) -> bool {
         let end = DVec2::new(size[0] as f64, size[1] as f64) - 0.5 + widened;
         self.high.cmpgt(DVec2::splat(-0.5 - widened)).all() && self.low.cmplt(end).all()
     }
 
-    /// Whether both can have a point in common, as far as boxes and circles about them tell.
+    /// Whether the two may overlap, by their bounding boxes and circles.
     pub(crate) fn may_overlap(&self, other: &Self) -> bool {
         let twice_apart = (self.low + self.high - other.low - other.high).length_squared();
         let reach = self.radius + other.radius;
@@ -74,7 +74,7 @@ impl Shape {
             && twice_apart < 4.0 * reach * reach
     }
 
-    /// Moved by so much.
+    /// Moved by an offset.
     pub(crate) fn moved(&self, by: DVec2) -> Self {
         let outline = match self.outline {
             Outline::Ellipse { centre, per_yy, slope, widest } => {
@@ -85,7 +85,7 @@ impl Shape {
         Self { low: self.low + by, high: self.high + by, radius: self.radius, outline }
     }
 
-    /// As counted in pixels so many times as narrow, from an origin so many pixels to the upper left.
+    /// Scaled to `times` pixels per pixel, with the origin moved by `origin` pixels to the upper left.
     pub(crate) fn magnified(&self, times: usize, origin: [f64; 2]) -> Self {
         let by = times as f64;
         let move_ = |p: DVec2| (p + DVec2::from_array(origin)) * by + 0.5 * (by - 1.0);
@@ -99,23 +99,23 @@ impl Shape {
         Self { low: move_(self.low), high: move_(self.high), radius: self.radius * by, outline }
     }
 
-    /// Where a horizontal line at `y`, between its ends, enters and leaves it.
+    /// Entry and exit of a horizontal line at `y`, which must lie between the region's ends.
     pub(crate) fn cut(&self, y: f64) -> (f64, f64) {
         let [[from], [to]] = self.cuts([y]);
         (from, to)
     }
 
-    /// The same of several lines: where they enter, and where they leave.
+    /// Entries and exits of several lines.
     #[inline]
     pub(crate) fn cuts<const COUNT: usize>(&self, heights: [f64; COUNT]) -> [[f64; COUNT]; 2] {
         let mut ends = [[0.0; COUNT]; 2];
         let [from, to] = &mut ends;
         match &self.outline {
-            // In loops of their own: but for the root they become vectors.
+            // Separate loops, which vectorise except for the root.
             &Outline::Ellipse { centre, per_yy, slope, widest } => {
                 for (half, y) in to.iter_mut().zip(heights) {
                     let dy = y - centre.y;
-                    *half = (1.0 - dy * dy * per_yy).abs(); // 0 at its ends, as far as rounding goes
+                    *half = (1.0 - dy * dy * per_yy).abs(); // 0 at its ends, up to rounding
                 }
                 to.iter_mut().for_each(|half| *half = sqrt(*half));
                 for ((from, to), y) in from.iter_mut().zip(to).zip(heights) {
@@ -142,11 +142,11 @@ fn cut_bar(corners: &[DVec2; 4], y: f64) -> (f64, f64) {
     edges.iter().filter_map(crossing).map(|x| (x, x)).reduce(|ends, (x, _)| span(ends, x)).unwrap_or_default()
 }
 
-/// Whatever of a line lies in any of the regions, from left to right.
+/// Calls `draw` for the intervals of a line within any of the regions, from left to right.
 pub(crate) fn each_interval(shapes: &[Shape], y: f64, mut draw: impl FnMut((f64, f64))) {
     let mut reached = f64::NEG_INFINITY;
     loop {
-        // The interval that begins left of all others among those that end beyond what is drawn.
+        // The leftmost interval among those that end beyond the drawn part.
         let crossed = shapes.iter().filter(|shape| shape.low.y < y && y < shape.high.y);
         let beyond = crossed.map(|shape| shape.cut(y)).filter(|&(from, to)| to > from.max(reached));
         let Some((from, to)) = beyond.reduce(|a, b| if b.0 < a.0 { b } else { a }) else { return };

@@ -1,31 +1,31 @@
-//! Ink that moves while the shutter is open.
+//! Moving ink during the exposure.
 
 use alloc::vec::Vec;
 use gelstereo_core::math::{DVec2, ceil, cos};
 
-/// The mean over a way is a sum over pieces of it and over Gauss's places within each piece. What a lens of sigma
-/// shows of a dot changes along a way as a Gaussian's integral does, and Gauss's rule converges on that faster than
-/// any power.
+/// The mean over a path is a sum over pieces of it and over Gauss points within each piece. The blurred
+/// image of a dot changes along the path like the integral of a Gaussian. Gauss quadrature converges on
+/// that faster than any power.
 #[derive(Clone, Debug)]
 pub(crate) struct Shutter {
     sigma_px: Option<f64>,
-    /// (place from -1 to 1, weight of a half) of the rules of 1, 2, ... places.
+    /// (position from -1 to 1, half of its weight) for the rules of 1, 2, ... points.
     rules: Vec<Vec<(f64, f64)>>,
 }
 
 /// Longest piece, in sigmas of the lens.
 const PIECE: f64 = 6.0;
 
-/// Of the longest piece: see [`pieces`].
+/// Points of the longest piece: see [`pieces`].
 const MAX_PLACES: usize = 9;
 
-/// Pieces per pixel of ink without a lens, each with one place: its edges are sharp, which no rule is better at. A
-/// pixel's share of the ink bends where an edge enters or leaves it, once in a piece: off by an eighth of a piece's
-/// length, times the piece's share of the way, 2e-3 at most.
+/// Pieces per pixel of path without a lens, each with one point: higher rules do not help at sharp
+/// edges. A pixel's coverage has a kink where an edge enters or leaves it, once in a piece. The error is
+/// an eighth of a piece's length times the piece's share of the path, 2e-3 at most.
 const SHARP_PER_PX: f64 = 16.0;
 const MIN_SHARP: f64 = 4.0;
 
-/// Beyond so many pixels a way is sampled no more often.
+/// Longer paths are not sampled more often.
 const FARTHEST_PX: f64 = 1e4;
 
 impl Shutter {
@@ -33,13 +33,14 @@ impl Shutter {
         Self { sigma_px, rules: (1..=MAX_PLACES).map(gauss).collect() }
     }
 
-    /// How often a dot is drawn that goes so far.
+    /// Number of copies of a dot that are drawn along its path.
     pub(crate) fn times(way_px: f64, sigma_px: Option<f64>) -> usize {
         let (pieces, places) = pieces(way_px, sigma_px);
         pieces * places
     }
 
-    /// Every place of a way of that length, as a share of it from its middle, and its weight.
+    /// Calls `draw` for every sample of a path of that length: its position as a share of the path from
+    /// the middle, and its weight.
     pub(crate) fn each(&self, way_px: f64, mut draw: impl FnMut(f64, f64)) {
         let (pieces, places) = pieces(way_px, self.sigma_px);
         let Some(rule) = self.rules.get(places - 1) else { return };
@@ -53,7 +54,7 @@ impl Shutter {
     }
 }
 
-/// Pieces of a way and places within each.
+/// Number of pieces of a path, and of points within each.
 fn pieces(way_px: f64, sigma_px: Option<f64>) -> (usize, usize) {
     let way_px = if way_px < FARTHEST_PX { way_px } else { FARTHEST_PX };
     if way_px == 0.0 {
@@ -64,12 +65,13 @@ fn pieces(way_px: f64, sigma_px: Option<f64>) -> (usize, usize) {
     };
     let sigmas = way_px / sigma_px;
     let pieces = ceil(sigmas / PIECE).max(1.0);
-    // Waves that a Gaussian still has, 4 to a sigma, take 4 / 4 places to a sigma; and some more to converge.
+    // A Gaussian has waves of up to 4 rad per sigma. They take 4 / 4 points per sigma, and some more to
+    // converge.
     let places = ceil(1.5 + 1.2 * sigmas / pieces) as usize;
     (pieces as usize, places.min(MAX_PLACES))
 }
 
-/// Gauss's rule: roots of Legendre's polynomial by Newton's method, and half of their weights.
+/// Gauss-Legendre rule: roots of Legendre's polynomial by Newton's method, and half of their weights.
 fn gauss(places: usize) -> Vec<(f64, f64)> {
     let n = places as f64;
     let place = |k: usize| {
@@ -95,7 +97,7 @@ fn legendre(degree: usize, x: f64) -> (f64, f64) {
     (value, degree as f64 * (before - x * value) / (1.0 - x * x))
 }
 
-/// The longest of some ways.
+/// Length of the longest path.
 pub(crate) fn longest_px(ways: impl Iterator<Item = DVec2>) -> f64 {
     ways.map(DVec2::length).fold(0.0, f64::max)
 }
@@ -119,7 +121,7 @@ mod tests {
     }
 
     proptest! {
-        /// What a pixel sees of an edge that passes it.
+        /// A pixel's response to an edge that passes it.
         #[test]
         fn an_edge_is_smeared_as_its_integral_says(way in 0.0..40.0_f64, from in -9.0..9.0_f64, sigma_px in 0.5..3.0_f64) {
             let seen = |x: f64| 0.5 + 0.5 * erf(x / (sigma_px * core::f64::consts::SQRT_2));

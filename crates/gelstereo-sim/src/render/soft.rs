@@ -1,11 +1,12 @@
-//! Ink through a lens that blurs, without a fine canvas.
+//! Ink through a blurring lens, without a fine canvas.
 //!
-//! A pixel that weighs points by k(x) k(y) about its centre (see [`Lens`]) sees of a region
-//! ∫ k(v) [K(right(v)) - K(left(v))] dv, where K is the integral of k and the region is cut from left to right at height v:
-//! along a line the integral is exact, and lines are summed. For an ellipse the sum over the lines v = h sin t, t in
-//! equal steps, is the trapezoid rule on a smooth periodic function (its outline once around), which converges faster
-//! than any power: with steps of 1.3 sigma along the outline 2e-5 of the contrast is left, the transform of the lens's
-//! Gaussian at that step, 2 exp(-2 π² / 1.3²).
+//! A pixel weights points by k(x) k(y) about its centre (see [`Lens`]). Its value for a region is ∫ k(v)
+//! [K(right(v)) - K(left(v))] dv, where K is the integral of k and the region is cut from left to right
+//! at height v. Along a line the integral is exact, and lines are summed. For an ellipse, the sum over
+//! the lines v = h sin t, t in equal steps, is the trapezoid rule on a smooth periodic function (its
+//! outline once around). It converges faster than any power. With steps of 1.3 sigma along the outline
+//! the error is 2e-5 of the contrast: the transform of the lens's Gaussian at that step, 2 exp(-2 π² /
+//! 1.3²).
 
 use super::Ellipse;
 use super::lens::Lens;
@@ -16,21 +17,21 @@ use alloc::vec::Vec;
 use core::f64::consts::PI;
 use gelstereo_core::math::{DVec2, ceil, cos, sin};
 
-/// Lines of an ellipse, beyond two, per sigma of its longest half diameter: a step along the outline is at most π / 2.2
-/// sigma.
+/// Lines of an ellipse, in addition to two, per sigma of its longest half diameter. A step along the
+/// outline is at most π / 2.2 sigma.
 const LINES_PER_SIGMA: f64 = 2.2;
 
-/// Ellipses so large that they take more lines are cut like any other region, where the image is.
+/// Ellipses that need more lines are cut like any other region, within the image only.
 const MAX_LINES: usize = 256;
 
-/// Lines per pixel, or per half a sigma of the lens if that is more, over a region that is no ellipse. They lie as an
-/// ellipse's do between any two heights where a part of the region begins or ends.
+/// Lines per pixel (or per half a sigma of the lens if that is longer) over a region that is no ellipse.
+/// They are spaced as for an ellipse between any two heights where a part of the region begins or ends.
 const DENSE_LINES: f64 = 32.0;
 
-/// Most columns of a window; wider ones are drawn in parts.
+/// Maximum of columns in a window; wider ones are drawn in parts.
 const MAX_COLUMNS: usize = 32;
 
-/// Lines that are summed at once: those of a dot, and more are drawn in parts.
+/// Lines that are summed at once: enough for a dot; more are drawn in parts.
 const MAX_AT_ONCE: usize = 24;
 
 /// Draws blurred ink.
@@ -39,12 +40,12 @@ pub(crate) struct Soft {
     lens: Lens,
     edges: Profile,
     points: Profile,
-    /// (sine, cosine) of half a step, by the number of lines.
+    /// (sine, cosine) of half a step, by number of lines.
     half_steps: Vec<(f64, f64)>,
-    /// How far a pixel sees, in whole pixels.
+    /// Reach of a pixel, in whole pixels.
     reach: usize,
     sheaf: Box<Sheaf>,
-    /// Heights between which a region is smooth.
+    /// Heights between which a region's outline is smooth.
     breaks: Vec<f64>,
 }
 
@@ -54,15 +55,15 @@ struct Sheaf {
     lines: usize,
     heights: [f64; MAX_AT_ONCE],
     thickness: [f32; MAX_AT_ONCE],
-    /// Each line's share of the columns, in as many blocks as the window has.
+    /// Each line's contribution to the columns, in as many blocks as the window has.
     shares: Vec<Block>,
-    /// Each line's weights for the rows about it.
+    /// Each line's weights for the rows around it.
     weights: Vec<f32>,
-    /// The row of each line's first weight, counted from the window's top.
+    /// Row of each line's first weight, counted from the window's top.
     first_rows: [i32; MAX_AT_ONCE],
 }
 
-/// A part of the image: pixels that see anything of a region.
+/// A part of the image: the pixels within reach of a region.
 #[derive(Clone, Copy, Debug)]
 struct Window {
     left: usize,
@@ -72,7 +73,7 @@ struct Window {
 }
 
 impl Soft {
-    /// For images of at most so many regions that overlap.
+    /// For images with at most this many overlapping regions.
     pub(crate) fn new(lens: Lens, regions: usize) -> Self {
         let half_step = |lines: usize| {
             let angle = 0.5 * PI / lines.max(1) as f64;
@@ -82,7 +83,7 @@ impl Soft {
         let points = Profile::new(reach, |x| lens.point(x));
         Self {
             lens,
-            // Any column of a window from any place that one of its columns sees.
+            // Covers any column of a window, from any place within reach of one of its columns.
             edges: Profile::new(reach + MAX_COLUMNS, |x| lens.edge(x)),
             reach,
             half_steps: (0..=MAX_LINES).map(half_step).collect(),
@@ -92,7 +93,7 @@ impl Soft {
         }
     }
 
-    /// Adds a share of what every pixel sees of an ellipse.
+    /// Adds `share` of every pixel's view of an ellipse.
     pub(crate) fn ellipse(&mut self, ellipse: &Ellipse, share: f64, canvas: &mut [f32], width: usize) {
         let Some(shape) = Shape::ellipse(ellipse) else { return };
         let lines = 2.0 + LINES_PER_SIGMA * ellipse.longest_px() / self.lens.sigma_px;
@@ -102,9 +103,9 @@ impl Soft {
         self.draw(&[shape], [shape.low, shape.high], (ceil(lines) as usize, share), canvas, width);
     }
 
-    /// Adds a share of what every pixel sees of regions that overlap, each point once.
+    /// Adds `share` of every pixel's view of overlapping regions, counting each point once.
     pub(crate) fn union(&mut self, shapes: &[Shape], share: f64, canvas: &mut [f32], width: usize) {
-        // Lines that no row sees are left out.
+        // Lines out of reach of every row are omitted.
         let reach = self.lens.reach_px();
         let end = (canvas.len() / width) as f64 - 1.0 + reach;
         let mut breaks = core::mem::take(&mut self.breaks);
@@ -123,7 +124,7 @@ impl Soft {
         self.breaks = breaks;
     }
 
-    /// A share of what lies between two corners, cut by so many lines.
+    /// Draws `share` of the region between two corners, cut by this many lines.
     fn draw(
         &mut self,
         shapes: &[Shape],
@@ -146,7 +147,7 @@ impl Soft {
         }
     }
 
-    /// Pixels that see anything between these corners.
+    /// Pixels within reach of the rectangle between these corners.
     fn window(&self, [low, high]: [DVec2; 2], pixels: usize, width: usize) -> Option<Window> {
         let reach = self.lens.reach_px();
         let end = DVec2::new((width - 1) as f64, (pixels / width - 1) as f64);
@@ -160,7 +161,7 @@ impl Soft {
         })
     }
 
-    /// Draws a window. Lines crowd towards both heights: y = middle + half sin t.
+    /// Draws a window. Lines are denser towards both heights: y = middle + half sin t.
     fn cut<const BLOCKS: usize>(
         &mut self,
         mut window: Window,
@@ -169,12 +170,12 @@ impl Soft {
         (lines, share): (usize, f64),
         (canvas, width): (&mut [f32], usize),
     ) {
-        // Whole blocks, as far as the image goes.
+        // Whole blocks, within the image.
         window.columns = (width - window.left).min(BLOCKS * BLOCK);
         let (middle, half) = (0.5 * (from + to), 0.5 * (to - from));
         let angle = 0.5 * PI / lines as f64;
         let (s, c) = self.half_steps.get(lines).copied().unwrap_or_else(|| (sin(angle), cos(angle)));
-        // From -π/2 + half a step, turned on by whole steps.
+        // From -π/2 plus half a step, rotated by whole steps.
         let (turn_sin, turn_cos) = (2.0 * s * c, c * c - s * s);
         let (mut sin_t, mut cos_t) = (-c, s);
         let thickest = 2.0 * angle * half * share;
@@ -192,7 +193,8 @@ impl Soft {
     }
 }
 
-/// Columns of a window: where its first one is, and from there where the first and the last are that any sees.
+/// Columns of a window: the place of the first one, and, relative to it, the first and last places
+/// within reach.
 #[derive(Clone, Copy, Debug)]
 struct Span {
     left: f64,
@@ -206,16 +208,16 @@ impl Span {
         Self { left: window.left as f64, first: -reach, last: columns - 1.0 + reach }
     }
 
-    /// From the first column; beyond the ends no column sees a difference.
+    /// Offset from the first column, clamped to the places within reach.
     #[inline]
     fn within(self, x: f64) -> f64 {
-        // (`f64::clamp` keeps a NaN, which nobody hands over, and takes longer.)
+        // (`f64::clamp` keeps NaN, which does not occur here, and is slower.)
         let x = x - self.left;
         let x = if x > self.first { x } else { self.first };
         if x < self.last { x } else { self.last }
     }
 
-    /// An interval's share of every column.
+    /// An interval's contribution to every column.
     #[inline(always)]
     fn between<const BLOCKS: usize>(self, edges: &Profile, (from, to): (f64, f64)) -> [Block; BLOCKS] {
         let (from, first) = edges.about(self.within(from));
@@ -241,11 +243,11 @@ impl Sheaf {
         }
     }
 
-    /// The lines' shares of the columns.
+    /// Computes the lines' contributions to the columns.
     fn share<const BLOCKS: usize>(&mut self, edges: &Profile, span: Span, shapes: &[Shape]) {
         let lines = self.shares.as_chunks_mut::<BLOCKS>().0.iter_mut().zip(&self.heights[..self.lines]);
         if let [shape] = shapes {
-            return lines.for_each(|(line, &y)| *line = span.between(edges, shape.cut(y))); // nothing to add up
+            return lines.for_each(|(line, &y)| *line = span.between(edges, shape.cut(y))); // no sum needed
         }
         for (line, &y) in lines {
             *line = [Block::default(); BLOCKS];
@@ -257,7 +259,7 @@ impl Sheaf {
         }
     }
 
-    /// The lines' weights for the rows.
+    /// Computes the lines' weights for the rows.
     fn weigh(&mut self, points: &Profile, top: usize) {
         let lines = self.heights[..self.lines].iter().zip(&self.thickness).zip(&mut self.first_rows);
         let top = top as f64;
@@ -270,7 +272,7 @@ impl Sheaf {
         }
     }
 
-    /// Adds to every row of the window what it sees of the lines within reach.
+    /// Adds to every row of the window the lines within its reach.
     fn add<const BLOCKS: usize>(
         &mut self,
         (taps, reach_px): (usize, f64),
@@ -285,7 +287,7 @@ impl Sheaf {
         let (mut seen, mut begun) = (0, 0);
         let rows = canvas[window.top * width..].chunks_exact_mut(width).take(window.rows);
         for (row, y) in rows.zip(0_i32..) {
-            // From top to bottom lines begin and end in their order.
+            // From top to bottom, lines enter and leave the reach in their order.
             let above = (window.top as i32 + y) as f64 - reach_px;
             let below = above + 2.0 * reach_px;
             begun += heights[begun..].iter().take_while(|&&height| height <= below).count();
@@ -321,11 +323,12 @@ mod tests {
 
     const SIDE: usize = 48;
 
-    /// Of the contrast: what lines leave, and what 16 fine pixels per pixel leave in what this is compared with.
+    /// Relative to the contrast: error of the lines, and error of 16 fine pixels per pixel in the
+    /// reference.
     const LINES: f64 = 4e-5;
     const FINE: f64 = 4e-5;
 
-    /// What of the lens is cut off, at both ends of both axes.
+    /// Share of the lens that is cut off, at both ends of both axes.
     fn cut_off(lens: Lens) -> f64 {
         4.0 * lens.edge(-lens.reach_px())
     }
@@ -377,7 +380,7 @@ mod tests {
         moment / area
     }
 
-    /// A window that was moved back into the image once counted columns twice.
+    /// Regression: a window that was moved back into the image counted columns twice.
     #[test]
     fn a_dot_as_wide_as_the_canvas_has_each_column_once() {
         let (ellipse, lens) = (ellipse(18.0, 18.0, 7.58, 0.8, 2.449), Lens { sigma_px: 2.48 });
@@ -397,10 +400,11 @@ mod tests {
             let found = soft(&ellipse, lens);
             let off = most(&found, &fine(&shapes(&[ellipse]), lens, None));
             prop_assert!(off < tolerance(lens), "{off}");
-            // Shares sum to the area, up to what lines leave as far as four sigma beyond the outline, and their centroid is
-            // the ellipse's centre. What lines leave, 4e-5 as far as four sigma to both sides of the outline, moves it by
-            // at most 4 / pi times 4e-5 and 8 sigma, were it of one sign on one half of the outline and of the other on
-            // the other. The lens cut off on one side alone, 1e-5 of it at 4.3 sigma, adds 6e-5 sigma.
+            // Shares sum to the area, up to the error of the lines within four sigma of the outline.
+            // Their centroid is the ellipse's centre. The lines' error, 4e-5 within four sigma on both
+            // sides of the outline, moves it by at most 4 / pi times 4e-5 and 8 sigma: the case of
+            // opposite signs on the two halves of the outline. A lens cut off on one side only, 1e-5 of
+            // it at 4.3 sigma, adds 6e-5 sigma.
             let area: f64 = found.iter().map(|&share| f64::from(share)).sum();
             let share = area / (PI * ellipse.radius_px() * ellipse.radius_px());
             let blurred = (1.0 + 4.0 * sigma_px / ellipse.radius_px()).powi(2);
@@ -409,7 +413,7 @@ mod tests {
             prop_assert!(off < 4.7e-4 * sigma_px, "{off} px");
         }
 
-        /// Anywhere about the image's border, however much of it is seen.
+        /// Anywhere around the image's border, however much of the ellipse is visible.
         #[test]
         fn a_border_cuts_and_changes_nothing_else(
             x in -10.0..58.0, y in -10.0..58.0, radius in 1.0..12.0, sigma_px in 0.6..2.0,
@@ -429,14 +433,14 @@ mod tests {
             let bar = [a.centre_px - a.half_px[1], a.centre_px + a.half_px[1], b.centre_px + b.half_px[1], b.centre_px - b.half_px[1]];
             let mut all = shapes(&[a, b]);
             all.extend(Shape::bar(bar.map(|corner| a.centre_px.lerp(corner, 0.7))));
-            // The corners of the region are bends that lines between two heights do not follow.
+            // The region's corners are kinks that lines between two heights do not resolve.
             let off = most(&union(&all, lens), &fine(&all, lens, None));
             prop_assert!(off < 10.0 * tolerance(lens), "{off}");
             let off = most(&union(&all[..1], lens), &soft(&a, lens));
             prop_assert!(off < tolerance(lens), "{off}");
         }
 
-        /// Light as uneven as a scene may have it over an image of that size is several times what a camera's is.
+        /// The light is as uneven over this image as a scene may have it: several times a camera's.
         #[test]
         fn light_before_the_lens_is_light_behind_it_on_ink_nearer_to_the_dark(
             x in 14.0..34.0, y in 14.0..34.0, across in -0.1..0.1, down in -0.1..0.1, corner_loss in 0.0..0.05,

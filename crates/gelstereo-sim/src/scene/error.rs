@@ -1,4 +1,4 @@
-//! What can be wrong with a scene.
+//! Errors of a scene.
 
 use crate::layer::LayerError;
 use alloc::string::String;
@@ -7,17 +7,17 @@ use gelstereo_core::rig::RigError;
 /// Why a scene cannot be simulated.
 #[derive(Clone, Debug, PartialEq)]
 pub enum SceneError {
-    /// The cameras are no rig.
+    /// Invalid camera rig.
     Rig(RigError),
-    /// The gel is no elastic layer.
+    /// Invalid elastic layer.
     Layer(LayerError),
     /// A number is outside its range.
     Invalid {
-        /// Where it stands in the file, for example `gel.pitch_mm`.
+        /// Its place in the file, for example `gel.pitch_mm`.
         name: &'static str,
-        /// What was found.
+        /// Value found.
         found: f64,
-        /// What would be valid.
+        /// Valid values.
         valid: &'static str,
     },
     /// A list names a marker that the lattice does not have.
@@ -38,7 +38,8 @@ pub enum SceneError {
         /// Its column.
         col: usize,
     },
-    /// A corner of the gel's surface lies before the medium that the rig's layers call the gel.
+    /// A corner of the gel's surface lies in front of the medium that the rig's layers define as the
+    /// gel.
     BeforeGel {
         /// The corner marker's row.
         row: usize,
@@ -47,7 +48,7 @@ pub enum SceneError {
         /// Its distance behind the last interface.
         within_mm: f64,
     },
-    /// The elastic layer is listed with an approximation of what it does.
+    /// The elastic layer is listed together with an approximation of it.
     TwoModels {
         /// The approximation.
         effect: &'static str,
@@ -62,33 +63,33 @@ pub enum SceneError {
         /// Keyframes found.
         keyframes: usize,
     },
-    /// A keyframe is not later than the one before, or not within a day.
+    /// A keyframe is not later than the previous one, or not within a day.
     KeyframeTime {
-        /// Of which list.
+        /// The list.
         list: &'static str,
-        /// Which keyframe, from 0.
+        /// Index of the keyframe, from 0.
         keyframe: usize,
         /// Its time.
         time_s: f64,
-        /// The time it must be later than.
+        /// Time of the previous keyframe, or 0.
         after_s: f64,
     },
-    /// An effect is switched on that the scene does not have.
+    /// A switch is on for an effect that the scene does not have.
     NothingToSwitchOn {
-        /// Which.
+        /// The effect.
         effect: &'static str,
     },
-    /// An effect is on auto, but the scene says neither what is asked of it nor how exact.
+    /// An effect is on auto, but the scene states no requirement.
     NothingAsked {
-        /// Which.
+        /// The effect.
         effect: &'static str,
     },
-    /// The indenter is a mesh file whose triangles were not handed over.
+    /// The indenter is a mesh file whose triangles were not passed.
     MeshNeeded {
         /// The file.
         path: String,
     },
-    /// Triangles were handed over for an indenter that is not a mesh file.
+    /// Triangles were passed for an indenter that is not a mesh file.
     MeshNotNeeded,
 }
 

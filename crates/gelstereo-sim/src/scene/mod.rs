@@ -14,7 +14,8 @@ use gelstereo_core::camera::Camera;
 use gelstereo_core::math::{DQuat, DVec2, DVec3, Pose, so3};
 use gelstereo_core::rig::Rig;
 
-/// What there is, and which effects act. A file states only what differs from [`Scene::default`].
+/// Everything in a simulation, and the active effects. A file states only the differences from
+/// [`Scene::default`].
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(
     feature = "serde",
@@ -65,14 +66,15 @@ impl Default for Scene {
     }
 }
 
-/// How images of blurred dots are drawn: the rungs of one ladder.
+/// Methods (rungs) of drawing blurred dots.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "snake_case"))]
 pub enum Images {
     /// Line integrals in closed form within every dot's window.
     #[default]
     Fast,
-    /// On a canvas of eight by eight fine pixels to a pixel, filtered by the lens: the reference, some hundred times as slow.
+    /// A canvas of eight by eight fine pixels per pixel, filtered by the lens: the reference, some
+    /// hundred times as slow.
     Exact,
 }
 
@@ -140,8 +142,8 @@ impl Default for Gel {
     }
 }
 
-/// The gel at one time: the whole lattice shifted and turned in its plane, as when the camera shakes or the gel creeps.
-/// In a file: `{ time_s = 0.5, shift_mm = [1.2, 0], rotation_rad = 0.1 }`.
+/// The gel at one time: the whole lattice shifted and rotated in its plane, as when the camera shakes or
+/// the gel creeps. In a file: `{ time_s = 0.5, shift_mm = [1.2, 0], rotation_rad = 0.1 }`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(deny_unknown_fields))]
 pub struct GelKeyframe {
@@ -157,10 +159,10 @@ pub struct GelKeyframe {
 
 /// The indenter at one time.
 ///
-/// In a file the pose is `position_mm` (the object's origin in the sensor frame) and `rotation_rad` (rotation
-/// vector, default zero) or `rotation_xyzw` (unit quaternion): `{ time_s = 0.5, position_mm = [4, 0, 31], rotation_rad =
-/// [0, 1.5708, 0], shear_mm = [0.5, 0] }`. A rotation that its vector does not give back to the last bit is written as a
-/// quaternion, so that a scene that is written and read again is the same.
+/// In a file the pose is `position_mm` (the object's origin in the sensor frame) and `rotation_rad`
+/// (rotation vector, default zero) or `rotation_xyzw` (unit quaternion): `{ time_s = 0.5, position_mm =
+/// [4, 0, 31], rotation_rad = [0, 1.5708, 0], shear_mm = [0.5, 0] }`. A rotation that its vector does
+/// not reproduce bit for bit is written as a quaternion, so writing and reading preserves the scene.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(
     feature = "serde",
@@ -174,7 +176,7 @@ pub struct Keyframe {
     pub contact: ContactState,
 }
 
-/// How a keyframe is written in a file.
+/// File format of a keyframe.
 #[derive(Clone, Copy, Debug)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(deny_unknown_fields))]
 struct KeyframeFields {
@@ -305,17 +307,17 @@ impl Scene {
         }
         check_times("gel_motion", self.gel_motion.iter().map(|k| k.time_s))?;
         let (span, most) = (crate::trajectory::Trajectory::new(self).frames(), 10_000_000);
-        // They are listed one by one.
+        // The frames are listed one by one.
         let listed = self.effects.dropped_frames.is_none() || span <= most;
         SceneError::check(listed, "frames of a scene with dropped_frames", span as f64, "at most 10 million")
     }
 }
 
-/// Keyframes must follow each other.
+/// Checks that keyframe times increase.
 fn check_times(list: &'static str, times_s: impl Iterator<Item = f64>) -> Result<(), SceneError> {
     let mut after_s = -1.0;
     for (keyframe, time_s) in times_s.enumerate() {
-        // A day is far more than a scene needs and keeps the number of frames countable.
+        // A day is more than any scene needs and bounds the number of frames.
         if !(time_s > after_s && (0.0..=86_400.0).contains(&time_s)) {
             return Err(SceneError::KeyframeTime { list, keyframe, time_s, after_s: after_s.max(0.0) });
         }

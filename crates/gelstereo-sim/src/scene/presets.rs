@@ -11,7 +11,7 @@ type Cameras = (usize, usize, f64, f64);
 
 const VGA: Cameras = (640, 480, 560.0, 8.0);
 const HD: Cameras = (1280, 720, 652.0, 6.5);
-/// The first one's optics with pixels half as wide.
+/// The optics of `VGA` with pixels half as wide.
 const FINE: Cameras = (1280, 960, 1120.0, 8.0);
 
 /// Markers along each side and their pitch: about the same 22 mm of gel.
@@ -36,9 +36,9 @@ const SENSORS: [(&str, Cameras, Print); 9] = [
 const REFRACTION: &str = "640x480-25-refraction";
 
 impl Scene {
-    /// Names that [`Self::preset`] knows: image size and markers along each side. All have the surface at 28.7 mm
-    /// and a gel of about 22 mm, but for the last one: 20 mm of air, 3 mm of acrylic and 5 mm of gel between cameras
-    /// and markers, and a lattice of 15.6 mm, which both cameras see.
+    /// Names for [`Self::preset`]: image size and markers along each side. All have the surface at 28.7
+    /// mm and a gel of about 22 mm, except the last one. It has 20 mm of air, 3 mm of acrylic and 5 mm
+    /// of gel between cameras and markers, and a lattice of 15.6 mm that both cameras see.
     pub const PRESETS: [&'static str; 10] = {
         let mut names = [REFRACTION; 10];
         let mut i = 0;
@@ -49,7 +49,7 @@ impl Scene {
         names
     };
 
-    /// A sensor by its name, without effects and with nothing that touches it; `640x480-25` is the default scene.
+    /// A sensor by name, without effects or contact; `640x480-25` is the default scene.
     #[must_use]
     pub fn preset(name: &str) -> Option<Self> {
         if name == REFRACTION {
@@ -80,7 +80,7 @@ impl Scene {
     }
 }
 
-/// Two parallel cameras that look along their images' middles.
+/// Two parallel cameras with centred principal points.
 fn rig((width_px, height_px, f_px, baseline_mm): Cameras) -> Rig {
     let middle = |side: usize| 0.5 * (side as f64 - 1.0);
     let camera = Camera {

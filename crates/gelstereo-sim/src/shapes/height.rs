@@ -1,9 +1,9 @@
-//! Where a line enters a solid, in closed form.
+//! Entry point of a line into a solid, in closed form.
 
 use super::{BOARD_THICKNESS_MM, Shape};
 use gelstereo_core::math::{DVec3, sqrt};
 
-/// The part of a line that lies within a convex solid, as parameters; empty when `enter > leave`.
+/// Parameter interval of a line within a convex solid; empty when `enter > leave`.
 #[derive(Clone, Copy)]
 struct Span {
     enter: f64,
@@ -31,7 +31,7 @@ impl Shape {
         match self {
             Self::Sphere { radius_mm } => {
                 let [a, b] = [direction.length_squared(), origin.dot(direction)];
-                // From the foot point on the line: |o|² - R² alone would cancel for a far origin.
+                // Uses the line's foot point: |o|² - R² alone would cancel for a far origin.
                 let foot = origin - direction * (b / a);
                 round(a, b, radius_mm * radius_mm - foot.length_squared()).entry()
             }
@@ -59,7 +59,7 @@ impl Shape {
     }
 }
 
-/// The span where a quadratic a s² + 2 b s is within `room` of its minimum at -b / a.
+/// The interval where a quadratic a s² + 2 b s is within `room` of its minimum at -b / a.
 fn round(a: f64, b: f64, room: f64) -> Span {
     if room.is_nan() || room < 0.0 {
         return Span::EMPTY;
@@ -71,8 +71,8 @@ fn round(a: f64, b: f64, room: f64) -> Span {
 fn barrel(origin: DVec3, direction: DVec3, radius: f64) -> Span {
     let (o, d) = (origin.truncate(), direction.truncate());
     let a = d.length_squared();
-    // Along the axis the line is inside or outside for good; 1e-24 is a turn of 1e-12 rad, below round-off of a
-    // pose.
+    // Parallel to the axis, the whole line is inside or outside; 1e-24 is a rotation of 1e-12 rad, below
+    // round-off of a pose.
     if a < 1e-24 {
         return if o.length_squared() <= radius * radius { Span::WHOLE } else { Span::EMPTY };
     }

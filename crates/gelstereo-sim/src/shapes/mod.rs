@@ -10,7 +10,7 @@ use crate::scene::SceneError;
 use alloc::string::String;
 use gelstereo_core::math::{DVec3, sqrt};
 
-/// Thickness of the plate of [`Shape::Board`], millimetres; nothing that touches the gel depends on it.
+/// Thickness of the plate of [`Shape::Board`], millimetres; the contact does not depend on it.
 pub const BOARD_THICKNESS_MM: f64 = 3.0;
 
 /// A solid by its dimensions, in its own frame; lengths in millimetres.
@@ -49,7 +49,7 @@ pub enum Shape {
         /// The block's height above the plate. Valid: 0.001 to 1000 mm. Change it to the part's.
         protrusion_mm: f64,
     },
-    /// A mesh file, read by whoever loads the scene and handed over as triangles in millimetres.
+    /// A mesh file, read by the caller and passed as triangles in millimetres.
     Mesh {
         /// STL or OBJ file. A relative path starts at the folder of the file that names it. Change it to the
         /// part's.
@@ -91,8 +91,8 @@ impl Shape {
         }
     }
 
-    /// Support function: the largest `direction · x` over the solid (object frame, `direction` of unit length),
-    /// or `None` for a mesh file.
+    /// Support function: the largest `direction · x` over the solid (object frame, `direction` of unit
+    /// length), or `None` for a mesh file.
     #[must_use]
     pub fn support_mm(&self, direction: DVec3) -> Option<f64> {
         let d = direction.abs();

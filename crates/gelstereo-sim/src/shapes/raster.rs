@@ -1,10 +1,10 @@
-//! Height of a triangle mesh at scattered points: triangles drawn over a grid of the points.
+//! Height of a triangle mesh at scattered points: triangles are rasterised over a grid of the points.
 
 use alloc::vec::Vec;
 use gelstereo_core::math::{DVec2, DVec3, Pose, sqrt};
 use gelstereo_core::surface::TriangleMesh;
 
-/// Finds the surface of a mesh nearest to the camera at many points of the gel, over scratch that is kept.
+/// Finds the mesh surface nearest to the camera at many points of the gel; keeps its buffers.
 #[derive(Clone, Debug)]
 pub(crate) struct MeshHeight {
     mesh: TriangleMesh,
@@ -15,7 +15,7 @@ pub(crate) struct MeshHeight {
     cells: Grid,
 }
 
-/// Cells over the points' bounding box, about as many as there are points, so that their number never grows.
+/// Cells over the points' bounding box, about as many as points, so that their number is constant.
 #[derive(Clone, Copy, Debug, Default)]
 struct Grid {
     low: DVec2,
@@ -34,7 +34,7 @@ impl Grid {
     /// Column and row of the cell; points outside belong to the cells at the border.
     fn at(&self, point: DVec2) -> (usize, usize) {
         let share = (point - self.low) / (self.high - self.low).max(DVec2::splat(f64::MIN_POSITIVE));
-        // `as` clamps what is below 0.
+        // `as` clamps values below 0.
         let index = |x: f64| ((x * self.side as f64) as usize).min(self.side - 1);
         (index(share.x), index(share.y))
     }
@@ -57,8 +57,8 @@ impl MeshHeight {
         vertices.fold(f64::INFINITY, |z, &v| z.min(t_sensor_object.transform_point(v).z))
     }
 
-    /// Height of the mesh above the plane z = `surface_mm` at every point; negative infinity where no triangle
-    /// is.
+    /// Height of the mesh above the plane z = `surface_mm` at every point; negative infinity without a
+    /// triangle.
     pub(crate) fn heights_mm(
         &mut self,
         t_sensor_object: &Pose,
@@ -95,7 +95,7 @@ impl MeshHeight {
         }
     }
 
-    /// Counting sort of the points by cell, row after row.
+    /// Counting sort of the points by cell, row by row.
     fn sort_points(&mut self, points: &[DVec2]) {
         self.cells = Grid::over(points);
         let cells = self.cells;
@@ -115,7 +115,7 @@ impl MeshHeight {
         }
         self.order.clear();
         self.order.resize(points.len(), 0);
-        // Backwards, so that every count comes down to its cell's start.
+        // Backwards, so that every count decreases to its cell's start.
         for (i, &p) in points.iter().enumerate().rev() {
             let end = &mut self.starts[cell(p)];
             *end -= 1;
@@ -124,8 +124,9 @@ impl MeshHeight {
     }
 }
 
-/// Depth of a triangle at a point seen along z, or `None` beside it. Borders belong to it, so no point falls
-/// between two triangles that share an edge; triangles seen edge-on have no depth (their neighbours do).
+/// Depth of a triangle at a point seen along z, or `None` beside it. Borders are included, so no point
+/// falls between two triangles that share an edge. Triangles seen edge-on have no depth (their
+/// neighbours do).
 fn depth_at(corners: &[DVec3; 3], point: DVec2) -> Option<f64> {
     let [a, b, c] = corners.map(|v| v.truncate() - point);
     let (u, v, w) = (b.perp_dot(c), c.perp_dot(a), a.perp_dot(b));

@@ -1,4 +1,4 @@
-//! Watertight triangles of the solids.
+//! Watertight triangle meshes of the solids.
 
 use super::{BOARD_THICKNESS_MM, Shape};
 use alloc::vec::Vec;
@@ -6,12 +6,13 @@ use core::f64::consts::PI;
 use gelstereo_core::math::{DVec3, acos, ceil, cos, sin};
 use gelstereo_core::surface::TriangleMesh;
 
-/// Most segments of a full turn, whatever the tolerance.
+/// Maximum of segments per turn, whatever the tolerance.
 const MAX_SEGMENTS: usize = 512;
 
 impl Shape {
-    /// Closed surface with outward normals whose distance to the solid is at most `tolerance_mm` (as far as 512
-    /// segments a turn allow); `None` for a mesh file and for dimensions that [`Self::validate`] refuses.
+    /// Closed surface with outward normals whose distance to the solid is at most `tolerance_mm` (as far
+    /// as 512 segments a turn allow); `None` for a mesh file and for dimensions that [`Self::validate`]
+    /// rejects.
     #[must_use]
     pub fn mesh(&self, tolerance_mm: f64) -> Option<TriangleMesh> {
         self.validate().ok()?;
@@ -34,8 +35,8 @@ fn segments(radius: f64, tolerance: f64) -> usize {
     (n as usize).clamp(8, MAX_SEGMENTS)
 }
 
-/// Adds the ring of quads between two rings of `n` vertices that start at `a` and `b`; `b` is the one above
-/// when the ring turns counter-clockwise seen from above.
+/// Adds the ring of quads between two rings of `n` vertices that start at `a` and `b`; `b` is the upper
+/// one when the ring turns counter-clockwise seen from above.
 fn belt(a: u32, b: u32, n: u32, triangles: &mut Vec<[u32; 3]>) {
     for i in 0..n {
         let j = (i + 1) % n;
@@ -59,7 +60,7 @@ fn ring(radius: f64, z: f64, n: usize) -> impl Iterator<Item = DVec3> {
 }
 
 fn sphere(radius: f64, tolerance: f64) -> Triangles {
-    // Chords along both directions add up, so each gets half of the tolerance.
+    // The chord errors of both directions add up, so each gets half of the tolerance.
     let n = segments(radius, 0.5 * tolerance).next_multiple_of(2);
     let bands = n / 2;
     let (mut vertices, mut triangles) = (Vec::new(), Vec::new());

@@ -8,23 +8,23 @@ use crate::simulator::ContactState;
 use alloc::vec::Vec;
 use gelstereo_core::math::DVec2;
 
-/// An elastic layer and what its solves need.
+/// An elastic layer and the buffers of its solves.
 #[derive(Clone, Debug)]
 pub(super) struct Layered {
     contact: LayerContact,
     places: Places,
     nodes: Nodes,
     sticks: bool,
-    /// Solves with the cells where they have moved to.
+    /// Further solves with the cells at their displaced places.
     rounds: usize,
     memory: Option<Memory>,
-    /// The frame of the trajectory that the last solve was of.
+    /// Trajectory frame of the last solve.
     solved: Option<u64>,
-    /// Cells' gel at rest, and where it is looked for, sensor x and y.
+    /// Rest places of the cells, and the places where the part's heights are evaluated, sensor x and y.
     rest: Vec<DVec2>,
     at: Vec<DVec2>,
     heights: Vec<f64>,
-    /// How far the part carries it, along the lattice's axes.
+    /// Motion of the cells with the part, along the lattice's axes.
     carried: [Vec<f64>; 2],
     /// Motion of the cells under the tractions.
     into: Vec<f64>,
@@ -62,7 +62,7 @@ impl Layered {
         }))
     }
 
-    /// Puts every cell where it is when it stands still or, with a grip, moves with the part.
+    /// Puts every cell at its rest place or, with a grip, at its place carried by the part.
     fn place(&mut self, middle_mm: DVec2, axes: [DVec2; 2], grip: Option<&Grip>) {
         let grid = self.contact.grid();
         let from_middle = |i: usize, n: usize| (i as f64 - 0.5 * (n as f64 - 1.0)) * grid.cell_mm;
@@ -83,7 +83,8 @@ impl Layered {
         }
     }
 
-    /// Puts every cell where the last solve has moved it; the farthest that one in contact went from where it was.
+    /// Moves every cell to its place after the last solve. Returns the largest change of a cell in
+    /// contact.
     fn replace(&mut self, axes: [DVec2; 2]) -> f64 {
         self.contact.surface_mm(&mut self.into, &mut self.aside);
         let remembered = self.memory.as_ref().map(Memory::remembered);
@@ -100,12 +101,12 @@ impl Layered {
         farthest
     }
 
-    /// Solves for the part's heights, from which what is remembered is taken off.
+    /// Solves for the part's heights, minus the remembered motion.
     fn solve(&mut self, start: Start) {
         let Self { contact, heights, carried, memory, .. } = self;
         if let Some(memory) = memory {
             let [into, along, across] = memory.remembered();
-            // The support plate is as far away as it was.
+            // The support plate limits the depth as before.
             let most = contact.layer().thickness_mm;
             heights.iter_mut().zip(into).for_each(|(height, own)| *height = (*height - own).min(most));
             for (carried, own) in carried.iter_mut().zip([along, across]) {
@@ -114,7 +115,7 @@ impl Layered {
         }
         let [x, y] = &*carried;
         let part = layer::Part { heights_mm: heights, carried_mm: self.sticks.then_some([x, y]) };
-        // Numbers of a valid scene are valid here; a solve that gives up leaves what it has.
+        // A valid scene gives valid inputs; a solve that gives up keeps its last state.
         let _ = contact.press(part, ElasticLayer::TOLERANCE_MM, start);
         if let Some(memory) = memory {
             let [_, along, across] = memory.remembered();
@@ -124,7 +125,7 @@ impl Layered {
         }
     }
 
-    /// Adds to the markers' motion what their cells remember.
+    /// Adds the cells' remembered motion to the markers' motion.
     fn recall(&mut self) {
         let Some(memory) = &self.memory else { return };
         let [x, y] = &mut self.motion.aside;
@@ -135,7 +136,7 @@ impl Layered {
 }
 
 impl Simulator {
-    /// [`Self::press`] on the elastic layer, at a time about a frame's.
+    /// [`Self::press`] on the elastic layer, at a time close to that of a frame.
     pub(super) fn press_layer(&mut self, contact: Option<&ContactState>, frame: u64, time_s: f64) {
         let Some(mut layered) = self.layered.take() else { return };
         self.remember(&mut layered, frame);
@@ -151,7 +152,7 @@ impl Simulator {
         self.layered = Some(layered);
     }
 
-    /// Brings the memory to what it is before a frame of the trajectory.
+    /// Brings the memory to its state before a frame of the trajectory.
     fn remember(&mut self, layered: &mut Layered, frame: u64) {
         let frames = |layered: &Layered| layered.memory.as_ref().map_or(frame, Memory::frames);
         if frames(layered) > frame {
@@ -159,7 +160,7 @@ impl Simulator {
         }
         while frames(layered) < frame {
             let before = frames(layered);
-            // The one before was asked for just now, as a rule.
+            // Usually the last solve was of that frame.
             if layered.solved.take() != Some(before) {
                 let time_s = self.trajectory.time_s(before);
                 self.settle(time_s);
@@ -191,7 +192,7 @@ impl Simulator {
         }
     }
 
-    /// Moves markers as the surface does where they were printed.
+    /// Moves the markers with the surface at their printed places.
     fn follow(&mut self, motion: &Motion) {
         let Self { scratch, lattice, print, .. } = self;
         let shift_mm = print.as_ref().and_then(|print| print.shift_mm());
@@ -210,7 +211,8 @@ impl Simulator {
         scratch.heights.extend((0..motion.into.len()).map(|marker| at(&motion.into, marker)));
     }
 
-    /// Markers that the part touches lie on it, where they are now; no other one lies within it.
+    /// Markers in contact lie on the part at their displaced places, and no other marker lies inside the
+    /// part.
     fn meet(&mut self, contact: Option<&ContactState>, layered: &Layered) {
         let Self { scratch, rest, .. } = self;
         scratch.stuck.clear();
@@ -241,7 +243,7 @@ mod tests {
     use crate::simulator::Truth;
     use gelstereo_core::math::{DVec3, Pose};
 
-    /// How far the layer's solution is from the part where the cells have moved to, at most.
+    /// Largest distance between the layer's solution and the part at the cells' displaced places.
     fn off_the_part(large_strain: Option<LargeStrain>) -> f64 {
         let elastic_layer =
             Some(ElasticLayer { poisson_ratio: 0.5, friction: 0.0, ..ElasticLayer::default() });

@@ -1,4 +1,4 @@
-//! From a scene to marker positions and images.
+//! Simulator: from a scene to marker positions and images.
 
 mod layered;
 mod press;
@@ -22,16 +22,16 @@ use gelstereo_core::math::{DVec2, DVec3, Pose};
 use gelstereo_core::rig::Rig;
 use gelstereo_core::surface::TriangleMesh;
 
-/// How the indenter touches the gel at one moment.
+/// Contact of the indenter with the gel at one moment.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(deny_unknown_fields))]
 pub struct ContactState {
-    /// Object frame to sensor frame, now: after shear and twist.
+    /// Object frame to sensor frame at this moment: after shear and twist.
     pub t_sensor_object: Pose,
-    /// How far the contact has dragged the surface along, sensor x and y, since it touched.
+    /// Motion of the surface with the part since touch, sensor x and y.
     #[cfg_attr(feature = "serde", serde(default))]
     pub shear_mm: [f64; 2],
-    /// How far it has turned the surface about the contact's centre, from x towards y, radians.
+    /// Rotation of the surface about the contact's centre since touch, from x towards y, radians.
     #[cfg_attr(feature = "serde", serde(default))]
     pub twist_rad: f64,
 }
@@ -62,18 +62,18 @@ impl ContactState {
     }
 }
 
-/// A scene made ready to run.
+/// A scene prepared for simulation.
 #[derive(Clone, Debug)]
 pub struct Simulator {
     plan: Plan,
     rig: Rig,
     gel: Gel,
-    /// The lattice where the gel is now.
+    /// The lattice at the gel's current place.
     lattice: Lattice,
     surface_mm: f64,
-    /// The lattice's middle now.
+    /// The lattice's current centre.
     centre_mm: DVec2,
-    /// Markers where they are now when nothing touches.
+    /// Current marker places without contact.
     rest: Vec<DVec2>,
     print: Option<Print>,
     worn: Option<Worn>,
@@ -83,25 +83,25 @@ pub struct Simulator {
     spread: Option<Spreading>,
     drag: Option<Pull>,
     layered: Option<Box<Layered>>,
-    /// Whether a disc's image has its centroid beside its centre's image.
+    /// Whether the centroid of a disc's image is offset from the image of its centre.
     ellipse_bias: bool,
     trajectory: Trajectory,
-    /// How long the shutter is open, when that matters.
+    /// Exposure time; `None` without motion blur.
     exposure_s: Option<f64>,
-    /// Frames that arrive, when some do not.
+    /// Delivered frames, if some are dropped.
     delivered: Option<Vec<usize>>,
     renderer: Renderer,
     scratch: Scratch,
 }
 
-/// What presses.
+/// The indenter.
 #[derive(Clone, Debug)]
 enum Part {
     Solid(Shape),
     Mesh(MeshHeight),
 }
 
-/// Fields over the lattice, kept from frame to frame.
+/// Fields over the lattice, kept between frames.
 #[derive(Clone, Debug, Default)]
 struct Scratch {
     places: Vec<DVec2>,
@@ -111,13 +111,13 @@ struct Scratch {
     stuck: Vec<bool>,
     fields: [Vec<f64>; 2],
     dots: Vec<Dot>,
-    /// Markers when the shutter opens and when it closes; empty when nothing is known to move.
+    /// Marker positions at the opening and closing of the shutter; empty without known motion.
     ends_mm: [Vec<DVec3>; 2],
 }
 
 impl Simulator {
-    /// Makes a scene ready: plans which effects it needs and builds those alone. `mesh` is the indenter's surface when
-    /// its shape is a mesh file.
+    /// Prepares a scene: plans the effects it needs and builds only those. `mesh` is the indenter's
+    /// surface when its shape is a mesh file.
     ///
     /// # Errors
     /// [`SceneError`].
@@ -168,25 +168,25 @@ impl Simulator {
         Ok(simulator)
     }
 
-    /// Which effects are computed and why; [`Plan::scene`] is the scene that is simulated.
+    /// Which effects are computed, with reasons; [`Plan::scene`] is the simulated scene.
     #[must_use]
     pub fn plan(&self) -> &Plan {
         &self.plan
     }
 
-    /// Frames of the trajectory (1 when nothing moves), those included that [`Self::delivered`] skips.
+    /// Frames of the trajectory (1 when nothing moves), including those that [`Self::delivered`] skips.
     #[must_use]
     pub fn frames(&self) -> usize {
         self.trajectory.frames()
     }
 
-    /// How many frames arrive; fewer than [`Self::frames`] when the scene drops some.
+    /// Number of delivered frames; fewer than [`Self::frames`] when the scene drops some.
     #[must_use]
     pub fn delivered(&self) -> usize {
         self.delivered.as_ref().map_or_else(|| self.frames(), Vec::len)
     }
 
-    /// Which frame of the trajectory arrives after `arrived` others; `None` after the last.
+    /// Trajectory frame that is delivered after `arrived` others; `None` after the last.
     #[must_use]
     pub fn frame_of(&self, arrived: usize) -> Option<usize> {
         match &self.delivered {
@@ -195,7 +195,7 @@ impl Simulator {
         }
     }
 
-    /// When a frame is taken, seconds on the keyframes' clock.
+    /// Time of a frame, seconds on the keyframes' clock.
     #[must_use]
     pub fn time_s(&self, frame: u64) -> f64 {
         self.trajectory.time_s(frame)
@@ -222,13 +222,14 @@ impl Simulator {
         Some(pose)
     }
 
-    /// [`Self::moment`] of the first frame: for scenes whose gel stands still and has no smears, of any frame.
+    /// [`Self::moment`] of the first frame. For scenes without gel motion and smears it holds for any
+    /// frame.
     pub fn truth(&mut self, contact: Option<&ContactState>, out: &mut Truth) {
         self.moment(contact, 0, out);
     }
 
-    /// Marker positions and what the cameras see of them for a contact (`None`, or one that
-    /// [`ContactState::validate`] refuses: nothing touches), with the gel and the smears of a frame.
+    /// Marker positions and camera views for a contact, with the gel and the smears of a frame. `None`,
+    /// or a contact that [`ContactState::validate`] rejects, means no contact.
     pub fn moment(&mut self, contact: Option<&ContactState>, frame: u64, out: &mut Truth) {
         let time_s = self.time_s(frame);
         let contact = contact.filter(|contact| self.part.is_some() && contact.validate().is_ok());
@@ -237,8 +238,8 @@ impl Simulator {
         self.write(time_s, out);
     }
 
-    /// [`Self::moment`] of the markers in space alone, for who asks for a point cloud: neither where the cameras see
-    /// them nor how dots look is worked out, and those lists are left empty. [`Self::look`] fills them in.
+    /// [`Self::moment`] of the markers in space only, for point clouds. Projections and dot images are
+    /// not computed and their lists are left empty; [`Self::look`] fills them in.
     pub fn field(&mut self, contact: Option<&ContactState>, frame: u64, out: &mut Truth) {
         let contact = contact.filter(|contact| self.part.is_some() && contact.validate().is_ok());
         self.stand(contact, frame, self.time_s(frame));
@@ -246,8 +247,8 @@ impl Simulator {
         out.forget_views();
     }
 
-    /// Adds to a [`Self::field`] of a frame what both cameras see of it, for a scene without motion blur: it is then
-    /// [`Self::moment`]. How far dots move while the shutter is open is nowhere in a field: nothing moves.
+    /// Adds both cameras' views to a [`Self::field`] of a frame. Without motion blur the result is
+    /// [`Self::moment`]. A field has no motion during the exposure, so nothing moves.
     ///
     /// # Errors
     /// [`SceneError::Invalid`] if there are more or fewer points than the gel has markers.
@@ -259,7 +260,8 @@ impl Simulator {
         Ok(())
     }
 
-    /// Leaves the markers of a moment in the scratch; a gel with a memory remembers what was before the frame.
+    /// Computes the markers of a moment into the scratch; a gel with memory first simulates the frames
+    /// before.
     fn stand(&mut self, contact: Option<&ContactState>, frame: u64, time_s: f64) {
         self.settle(time_s);
         self.scratch.motion.clear();
@@ -276,8 +278,8 @@ impl Simulator {
         }
     }
 
-    /// Renders both views of a moment, `height * width` bytes each; `frame` keys the noise and times the smears. A
-    /// truth that has another number of markers shows none.
+    /// Renders both views of a moment, `height * width` bytes each. `frame` seeds the noise and sets the
+    /// time of the smears. A truth with a different number of markers shows none.
     pub fn render(&mut self, truth: &Truth, frame: u64, left: &mut Vec<u8>, right: &mut Vec<u8>) {
         let exposure = Exposure { frame, time_s: self.time_s(frame) };
         self.renderer.draw(0, truth, exposure, left);

@@ -7,13 +7,14 @@ use alloc::vec::Vec;
 use gelstereo_core::math::{DVec2, DVec3};
 
 impl Simulator {
-    /// Leaves heights, sideways motion and the markers in contact in the scratch.
+    /// Computes heights, sideways motion and the markers in contact into the scratch.
     pub(super) fn press(&mut self, contact: &ContactState) {
         if self.drag.is_none() && self.spread.is_none() {
             self.place(|_| DVec2::ZERO);
             return self.imprint(contact);
         }
-        // What sticks to the part touched it where it stood before the part dragged it here.
+        // Sticking markers touched the part before the drag, so contact is evaluated at their carried
+        // places.
         let grip = self.drag.is_some().then(|| self.grip(contact));
         self.place(|rest| grip.map_or(DVec2::ZERO, |grip| grip.motion_mm(rest)));
         self.imprint(contact);
@@ -25,13 +26,13 @@ impl Simulator {
             let [first, second] = &mut scratch.fields;
             spread.push(lattice, &scratch.heights, [first, second], &mut scratch.motion);
         }
-        // Where markers have moved sideways they meet another spot of the part.
+        // Markers that moved sideways meet the part at another point.
         self.scratch.places.clear();
         self.scratch.places.extend(self.rest.iter().zip(&self.scratch.motion).map(|(&rest, &u)| rest + u));
         self.imprint(contact);
     }
 
-    /// Markers at their rest positions moved by `motion`.
+    /// Places the markers at their rest positions plus `motion`.
     fn place(&mut self, motion: impl Fn(DVec2) -> DVec2) {
         self.scratch.places.clear();
         self.scratch.places.extend(self.rest.iter().map(|&rest| rest + motion(rest)));
@@ -51,7 +52,8 @@ impl Simulator {
         Grip::new(contact, if count > 0.0 { sum / count } else { DVec2::ZERO })
     }
 
-    /// The part's height above the rest plane at every place, negative infinity where it is not.
+    /// The part's height above the rest plane at every place in the scratch; negative infinity without
+    /// the part.
     pub(super) fn touch(&mut self, contact: &ContactState) {
         let (places, mut obstacle) =
             (core::mem::take(&mut self.scratch.places), core::mem::take(&mut self.scratch.obstacle));
@@ -59,7 +61,7 @@ impl Simulator {
         (self.scratch.places, self.scratch.obstacle) = (places, obstacle);
     }
 
-    /// The part's height above the rest plane at these places, negative infinity where it is not.
+    /// The part's height above the rest plane at these places; negative infinity without the part.
     pub(super) fn heights(&mut self, contact: &ContactState, places: &[DVec2], out: &mut Vec<f64>) {
         let pose = contact.t_sensor_object;
         match &mut self.part {
@@ -68,7 +70,7 @@ impl Simulator {
                 let direction = to_object.transform_vector(DVec3::Z);
                 out.clear();
                 out.extend(places.iter().map(|&place| {
-                    // (Written out: what is called gets its vectors through memory, and waits for them.)
+                    // (Inlined: a call would pass the vectors through memory and stall.)
                     let place = place.extend(self.surface_mm);
                     let origin = to_object.rotation * place + to_object.translation_mm;
                     shape.entry_mm(origin, direction).map_or(f64::NEG_INFINITY, |s| -s)
@@ -77,11 +79,11 @@ impl Simulator {
             Some(Part::Mesh(mesh)) => mesh.heights_mm(&pose, self.surface_mm, places, out),
             None => {}
         }
-        // The support plate behind the gel stops everything.
+        // The support plate behind the gel limits all heights.
         out.iter_mut().for_each(|height| *height = height.min(self.lattice.thickness_mm));
     }
 
-    /// Heights of the markers at their places, and which of them the part touches.
+    /// Computes heights of the markers at their places, and which of them the part touches.
     fn imprint(&mut self, contact: &ContactState) {
         self.touch(contact);
         let Self { scratch, shoulder, .. } = self;

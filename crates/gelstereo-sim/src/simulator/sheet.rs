@@ -1,11 +1,11 @@
-//! The printed sheet where nothing presses.
+//! The printed sheet without contact.
 
 use super::Simulator;
 use crate::lattice::Lattice;
 use gelstereo_core::math::{DVec2, cos, sin};
 
 impl Simulator {
-    /// Puts lattice and rest positions where the gel is at that time.
+    /// Moves lattice and rest positions to the gel's place at that time.
     pub(super) fn settle(&mut self, time_s: f64) {
         if let Some(moved) = self.trajectory.gel_at(time_s) {
             let home = Lattice::new(&self.gel);
@@ -15,7 +15,7 @@ impl Simulator {
         }
     }
 
-    /// Rest positions of all markers of a lattice whose middle is at `centre_mm`.
+    /// Sets the rest positions of all markers of a lattice centred at `centre_mm`.
     pub(super) fn lay(&mut self, centre_mm: DVec2) {
         self.centre_mm = centre_mm;
         let Self { lattice, rest, print, .. } = self;

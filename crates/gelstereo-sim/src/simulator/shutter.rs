@@ -1,4 +1,4 @@
-//! What moves while the shutter is open.
+//! Marker motion during the exposure.
 
 use super::{OUT_OF_SIGHT_PX, Simulator, Truth};
 use crate::simulator::ContactState;
@@ -6,8 +6,8 @@ use gelstereo_core::math::{DVec2, DVec3};
 use gelstereo_core::rig::View;
 
 impl Simulator {
-    /// Leaves in the scratch where the markers are when the shutter opens and when it closes; nothing without an
-    /// exposure.
+    /// Stores the markers' positions at the opening and closing of the shutter in the scratch; nothing
+    /// without an exposure.
     pub(super) fn expose(&mut self, contact: Option<&ContactState>, frame: u64) {
         let Some(exposure_s) = self.exposure_s else { return };
         let time_s = self.time_s(frame);
@@ -21,7 +21,7 @@ impl Simulator {
         }
     }
 
-    /// How far the images of markers and specks move from the one end to the other.
+    /// Writes the motion of the images of markers and specks during the exposure.
     pub(super) fn write_motion(&self, out: &mut Truth) {
         let Self { scratch, rig, specks, gel, .. } = self;
         let [open, close] = &scratch.ends_mm;
@@ -36,7 +36,7 @@ impl Simulator {
             let pixel = |at: DVec3| view.project(at).unwrap_or(OUT_OF_SIGHT_PX);
             let way = |(from, to): (DVec3, DVec3)| {
                 let ends = [from, to].map(pixel);
-                // Nobody sees what is behind the camera for a while.
+                // A point behind the camera at either end has no motion.
                 if ends.contains(&OUT_OF_SIGHT_PX) { DVec2::ZERO } else { ends[1] - ends[0] }
             };
             motion_px.extend(open.iter().copied().zip(close.iter().copied()).map(way));

@@ -1,4 +1,4 @@
-//! What is true of one moment.
+//! Ground truth of one moment.
 
 use super::Simulator;
 use crate::render::{Dot, Ellipse};
@@ -7,7 +7,7 @@ use alloc::vec::Vec;
 use gelstereo_core::math::{DVec2, DVec3, Pose};
 use gelstereo_core::rig::View;
 
-/// Ground truth of one moment; marker `row * cols + col` stands at that index, printed or not.
+/// Ground truth of one moment; marker `row * cols + col` has that index, printed or not.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Truth {
     /// Marker centres, sensor frame, millimetres.
@@ -18,28 +18,28 @@ pub struct Truth {
     pub indentation_mm: Vec<f64>,
     /// Whether the indenter touches the gel at this marker.
     pub in_contact: Vec<bool>,
-    /// Projections of the centres in the left image, within it or not. Where `ellipse_bias` is on, a dot's image has
-    /// its own centre elsewhere by up to f r² sin a cos a / Z² (tilt a): 0.016 px on the default rig.
+    /// Projections of the centres in the left image, inside it or not. With `ellipse_bias`, the centre
+    /// of a dot's image is offset by up to f r² sin a cos a / Z² (tilt a): 0.016 px on the default rig.
     pub left_px: Vec<DVec2>,
     /// The same in the right image.
     pub right_px: Vec<DVec2>,
-    /// How each dot looks in the left image.
+    /// Image of each dot in the left view.
     pub left_dots: Vec<DotImage>,
     /// The same in the right image.
     pub right_dots: Vec<DotImage>,
-    /// What is no marker but looks like one in the left image: the scene's specks.
+    /// Specks of the scene in the left image: they look like markers but are not.
     pub left_specks: Vec<Ellipse>,
     /// The same in the right image.
     pub right_specks: Vec<Ellipse>,
-    /// How far the dots' left images move while the shutter is open, those of the markers first, then those of the
-    /// specks. Empty without motion blur, and when markers are placed by someone else: nothing moves then.
+    /// Motion of the dots' left images during the exposure, markers first, then specks. Empty (no
+    /// motion) without motion blur and for markers placed by the caller.
     pub left_motion_px: Vec<DVec2>,
     /// The same in the right image.
     pub right_motion_px: Vec<DVec2>,
 }
 
 impl Truth {
-    /// Empties all lists but those of the markers in space.
+    /// Empties all lists that depend on the cameras.
     pub(super) fn forget_views(&mut self) {
         self.normals.clear();
         for list in
@@ -56,37 +56,38 @@ impl Truth {
     }
 }
 
-/// How a marker's dot looks in one image.
+/// Image of a marker's dot in one view.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DotImage {
-    /// Its outline before the lens blurs it.
+    /// Its outline before the lens blur.
     pub outline: Ellipse,
-    /// Difference between dot and gel there, in this light and before the lens blurs it, grey levels.
+    /// Difference between dot and gel at this place, in this light and before the lens blur, grey
+    /// levels.
     pub contrast_levels: f64,
-    /// What there is to see of it.
+    /// Its visibility.
     pub sight: Sight,
 }
 
-/// What there is to see of a marker in one image; where several hold, the last in this list.
+/// Visibility of a marker in one image; if several apply, the last in this list.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Sight {
-    /// All of it.
+    /// Fully visible.
     Whole = 0,
-    /// The image's border cuts it.
+    /// Cut by the image's border.
     Cut = 1,
-    /// Ink joins it to another one.
+    /// Joined to another marker by ink.
     Merged = 2,
-    /// A smear reaches it.
+    /// Reached by a smear.
     Covered = 3,
-    /// It lies outside the image, or behind the camera.
+    /// Outside the image, or behind the camera.
     Outside = 4,
-    /// It was not printed.
+    /// Not printed.
     NotPrinted = 5,
 }
 
 impl Sight {
-    /// All of them with their names.
+    /// All values with their names.
     pub const ALL: [(&'static str, Self); 6] = [
         ("WHOLE", Self::Whole),
         ("CUT", Self::Cut),
@@ -97,20 +98,19 @@ impl Sight {
     ];
 }
 
-/// Stands for the pixel of a point behind a camera; only a contact that shears the gel out of sight leads
-/// there.
+/// Pixel for a point behind a camera; only a contact that shears the gel out of sight leads there.
 pub const OUT_OF_SIGHT_PX: DVec2 = DVec2::splat(-1e6);
 
 const NO_OUTLINE: Ellipse = Ellipse { centre_px: OUT_OF_SIGHT_PX, half_px: [DVec2::ZERO; 2] };
 
 impl Simulator {
-    /// Hands the scratch over as truth.
+    /// Writes the scratch to the ground truth.
     pub(super) fn write(&mut self, time_s: f64, out: &mut Truth) {
         self.write_field(out);
         self.write_views(time_s, out);
     }
 
-    /// What there is to know without a camera, but for the normals.
+    /// Writes the camera-independent ground truth, except for the normals.
     pub(super) fn write_field(&self, out: &mut Truth) {
         let Self { scratch, .. } = self;
         out.indentation_mm.clear();
@@ -120,7 +120,7 @@ impl Simulator {
         self.points(&mut out.points_mm);
     }
 
-    /// Where the scratch has the markers.
+    /// Marker positions from the scratch.
     pub(super) fn points(&self, out: &mut Vec<DVec3>) {
         let Self { scratch, rest, surface_mm, .. } = self;
         let moved = rest.iter().zip(&scratch.motion).zip(&scratch.heights);
@@ -128,11 +128,12 @@ impl Simulator {
         out.extend(moved.map(|((&rest, &u), &height)| (rest + u).extend(surface_mm - height)));
     }
 
-    /// [`Self::moment`] of markers that someone else has placed, row by row: those of a recording, say. `in_contact`
-    /// is false throughout, since nobody knows.
+    /// [`Self::moment`] of markers at given positions, row by row, for example of a recording.
+    /// `in_contact` is false throughout because the contact is unknown.
     ///
     /// # Errors
-    /// [`SceneError::Invalid`] if there are more or fewer points than the gel has markers, or one is beyond 10 m.
+    /// [`SceneError::Invalid`] if there are more or fewer points than the gel has markers, or one is
+    /// beyond 10 m.
     pub fn placed(&mut self, points_mm: &[DVec3], frame: u64, out: &mut Truth) -> Result<(), SceneError> {
         let (found, markers) = (points_mm.len(), self.rest.len());
         SceneError::check(found == markers, "number of points_mm", found as f64, "gel.rows * gel.cols")?;
@@ -148,7 +149,7 @@ impl Simulator {
         self.look(frame, out)
     }
 
-    /// What both cameras see of `out.points_mm`.
+    /// Writes both cameras' views of `out.points_mm`.
     pub(super) fn write_views(&mut self, time_s: f64, out: &mut Truth) {
         out.left_px.clear();
         out.right_px.clear();
@@ -192,7 +193,7 @@ impl Simulator {
         }
     }
 
-    /// A marker's dot, which stretches and tilts with the surface between the neighbouring markers.
+    /// A marker's dot, stretched and tilted with the surface between the neighbouring markers.
     fn dot(&self, points_mm: &[DVec3], marker: usize, time_s: f64) -> Dot {
         let Self { lattice, print, worn, gel, .. } = self;
         let neighbours = lattice.neighbours(marker);
@@ -207,8 +208,8 @@ impl Simulator {
             });
             return Dot { centre, along, across };
         };
-        // Neighbours that were not printed one or two pitches apart along the axes: the gradient G of the surface
-        // solves G [a b] = apart, a and b what was printed between them.
+        // With misprints, neighbours are not exactly one or two pitches apart along the axes. The
+        // surface gradient G solves G [a b] = apart, where a and b are the printed differences.
         let axes = [DVec2::X, DVec2::Y];
         let [a, b] = [0, 1].map(|axis| {
             let (before, after, pitches) = neighbours[axis];

@@ -1,4 +1,4 @@
-//! Structures and numbers against the kernel's header.
+//! Compares structures and numbers with the kernel's header.
 #![allow(clippy::unwrap_used)]
 use super::*;
 use std::mem::{align_of, offset_of, size_of};
@@ -70,7 +70,7 @@ fn expectations() -> Vec<(String, usize)> {
     list
 }
 
-/// The kernel's own header is the judge, by way of the C compiler.
+/// Compiles against the kernel's header with the C compiler and compares the values.
 #[test]
 fn structures_and_numbers_are_the_kernel_headers() {
     let folder = tempfile::tempdir().unwrap();

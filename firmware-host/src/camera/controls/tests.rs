@@ -19,7 +19,7 @@ fn control(id: u32, name: &str, minimum: i64, maximum: i64, step: u64) -> Contro
     }
 }
 
-/// As uvcvideo describes a common camera.
+/// Controls of a common camera as described by uvcvideo.
 fn camera() -> Vec<Control> {
     let menu = [(1, "Manual Mode"), (3, "Aperture Priority Mode")];
     let menu = menu.map(|(index, name)| MenuItem { index, name: name.to_owned() }).to_vec();
@@ -117,7 +117,7 @@ fn names_are_those_of_v4l2_ctl() {
 }
 
 proptest! {
-    /// A value passes just when it is one of minimum, minimum + step, .. maximum.
+    /// A value passes exactly if it is one of minimum, minimum + step, .. maximum.
     #[test]
     fn values_are_checked_against_range_and_step(
         minimum in -1000i64..1000, steps in 0u64..50, step in 1u64..30, value in -3000i64..4000

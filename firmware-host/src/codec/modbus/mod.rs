@@ -1,44 +1,44 @@
-//! Modbus without transport: requests to bytes, bytes to replies (Modbus Application Protocol V1.1b3).
+//! Modbus without transport: encodes requests and decodes replies (Modbus Application Protocol V1.1b3).
 //!
-//! [`rtu`] frames requests for serial lines, [`tcp`] for Modbus TCP. Only the five functions that grippers use are
-//! here. Registers are big-endian.
+//! [`rtu`] frames requests for serial lines, [`tcp`] for Modbus TCP. Only the five functions that
+//! grippers use are implemented. Registers are big-endian.
 
 pub mod rtu;
 pub mod tcp;
 
 use std::fmt;
 
-/// Most registers that one read may ask for (section 6.3: the reply's byte count is one byte, 0x7D registers).
+/// Most registers in one read (section 6.3: the reply's byte count is one byte, 0x7D registers).
 pub const MAX_READ: u16 = 0x7D;
-/// Most registers that one write may carry (section 6.12).
+/// Most registers in one write (section 6.12).
 pub const MAX_WRITE: usize = 0x7B;
-/// Most registers that the write half of a read-and-write may carry (section 6.17).
+/// Most registers in the write half of a read-and-write (section 6.17).
 pub const MAX_READ_WRITE: usize = 0x79;
-/// A reply with this bit in its function code is an exception.
+/// Bit of the function code that marks an exception.
 const EXCEPTION: u8 = 0x80;
 
-/// What a master asks of a device.
+/// Request of a master to a device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Request<'a> {
     /// Function 0x03.
     ReadHolding {
         /// First register.
         address: u16,
-        /// Registers, 1 to [`MAX_READ`].
+        /// Number of registers, 1 to [`MAX_READ`].
         count: u16,
     },
     /// Function 0x04.
     ReadInput {
         /// First register.
         address: u16,
-        /// Registers, 1 to [`MAX_READ`].
+        /// Number of registers, 1 to [`MAX_READ`].
         count: u16,
     },
     /// Function 0x06.
     WriteSingle {
         /// The register.
         address: u16,
-        /// Its value.
+        /// Value to write.
         value: u16,
     },
     /// Function 0x10.
@@ -48,11 +48,11 @@ pub enum Request<'a> {
         /// 1 to [`MAX_WRITE`] values.
         values: &'a [u16],
     },
-    /// Function 0x17: the write comes first, then the read.
+    /// Function 0x17: the device writes first, then reads.
     ReadWrite {
         /// First register to read.
         read_address: u16,
-        /// Registers to read, 1 to [`MAX_READ`].
+        /// Number of registers to read, 1 to [`MAX_READ`].
         read_count: u16,
         /// First register to write.
         write_address: u16,
@@ -61,42 +61,42 @@ pub enum Request<'a> {
     },
 }
 
-/// What a device answers.
+/// Reply of a device.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Reply {
-    /// Values that were read.
+    /// Values read.
     Registers(Vec<u16>),
     /// The write was done.
     Written,
 }
 
-/// Why there is no reply that fits the request.
+/// Reason for a missing or mismatched reply.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum ModbusError {
-    /// The request asks for too few or too many registers.
+    /// The request has too few or too many registers.
     Count {
-        /// Registers asked for.
+        /// Number requested.
         found: usize,
-        /// Largest valid.
+        /// Largest valid number.
         max: usize,
     },
     /// The device refused the request.
     Exception {
-        /// Function that was refused.
+        /// Refused function.
         function: u8,
-        /// The device's code.
+        /// Exception code of the device.
         code: u8,
     },
-    /// The reply belongs to another request: it is late, or another device sent it.
+    /// The reply belongs to another request: it is late, or from another device.
     Foreign {
-        /// What differs.
+        /// Field that differs.
         field: &'static str,
         /// Value in the reply.
         found: u16,
-        /// Value that belongs to the request.
+        /// Value expected for the request.
         expected: u16,
     },
-    /// The bytes are no reply.
+    /// The bytes are not a valid reply.
     Frame {
         /// What is wrong with them.
         message: &'static str,
@@ -124,7 +124,7 @@ impl fmt::Display for ModbusError {
 
 impl std::error::Error for ModbusError {}
 
-/// Section 7 of the specification.
+/// Exception code in words (section 7 of the specification).
 const fn exception_in_words(code: u8) -> &'static str {
     match code {
         1 => "it does not have this function",
@@ -141,7 +141,7 @@ const fn exception_in_words(code: u8) -> &'static str {
 }
 
 impl Request<'_> {
-    /// Its function code.
+    /// Function code.
     #[must_use]
     pub const fn function(&self) -> u8 {
         match self {
@@ -198,7 +198,7 @@ impl Request<'_> {
         Ok(())
     }
 
-    /// Length of the protocol data unit that answers this request.
+    /// Length of the protocol data unit of the reply.
     const fn reply_length(&self) -> usize {
         match *self {
             Self::ReadHolding { count, .. }
@@ -208,7 +208,7 @@ impl Request<'_> {
         }
     }
 
-    /// Reads the protocol data unit of a reply.
+    /// Decodes the protocol data unit of a reply.
     fn decode(&self, unit: &[u8]) -> Result<Reply, ModbusError> {
         let (&function, data) =
             unit.split_first().ok_or(ModbusError::Frame { message: "it has no function code" })?;
@@ -247,7 +247,7 @@ impl Request<'_> {
     }
 }
 
-/// Count of registers, count of bytes, registers.
+/// Appends the register count, the byte count and the registers.
 fn append_values(out: &mut Vec<u8>, values: &[u16]) {
     out.extend_from_slice(&(values.len() as u16).to_be_bytes());
     out.push(2 * values.len() as u8);

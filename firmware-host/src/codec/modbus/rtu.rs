@@ -6,10 +6,10 @@ use super::{EXCEPTION, ModbusError, Reply, Request};
 const EXCEPTION_LENGTH: usize = 5;
 /// Address before and CRC after the protocol data unit.
 const ENVELOPE: usize = 3;
-/// The longest frame (section 2.5.1).
+/// Longest frame (section 2.5.1).
 pub const MAX_FRAME: usize = 256;
 
-/// CRC-16 with the reflected polynomial 0xA001, started at 0xFFFF.
+/// CRC-16 with reflected polynomial 0xA001, initial value 0xFFFF.
 #[must_use]
 pub fn crc(bytes: &[u8]) -> u16 {
     bytes.iter().fold(0xFFFF, |crc, &byte| {
@@ -17,7 +17,7 @@ pub fn crc(bytes: &[u8]) -> u16 {
     })
 }
 
-/// The frame that carries a request to a unit.
+/// Encodes the frame of a request to a unit.
 ///
 /// # Errors
 /// [`ModbusError::Count`].
@@ -28,10 +28,10 @@ pub fn encode(unit: u8, request: &Request<'_>) -> Result<Vec<u8>, ModbusError> {
     Ok(frame)
 }
 
-/// Collects the bytes of one reply as they come.
+/// Assembles one reply from received bytes.
 ///
-/// A reply has no length of its own: what was asked says how long it is. Bytes before the reply that cannot be its
-/// start are passed over, so that line noise and the reply to another unit do not hide it.
+/// A reply does not contain its length; the request determines it. Bytes that cannot start the reply are
+/// skipped, so that line noise and replies to other units do not hide it.
 #[derive(Clone, Debug)]
 pub struct ReplyReader<'a> {
     unit: u8,
@@ -41,23 +41,23 @@ pub struct ReplyReader<'a> {
 }
 
 impl<'a> ReplyReader<'a> {
-    /// For the reply of `unit` to `request`.
+    /// Reader for the reply of `unit` to `request`.
     #[must_use]
     pub const fn new(unit: u8, request: Request<'a>) -> Self {
         Self { unit, request, bytes: Vec::new(), skipped: 0 }
     }
 
-    /// Bytes that were passed over.
+    /// Number of skipped bytes.
     #[must_use]
     pub const fn skipped(&self) -> usize {
         self.skipped
     }
 
-    /// Takes what came. `None` until the reply is whole.
+    /// Adds received bytes. Returns `None` until the reply is complete.
     ///
     /// # Errors
-    /// [`ModbusError::Exception`] when the device refused; [`ModbusError::Foreign`] or [`ModbusError::Frame`] when a
-    /// frame with a right CRC does not answer the request.
+    /// [`ModbusError::Exception`] if the device refused; [`ModbusError::Foreign`] or
+    /// [`ModbusError::Frame`] if a frame with a correct CRC does not match the request.
     pub fn push(&mut self, bytes: &[u8]) -> Option<Result<Reply, ModbusError>> {
         self.bytes.extend_from_slice(bytes);
         while self.bytes.len() >= EXCEPTION_LENGTH {

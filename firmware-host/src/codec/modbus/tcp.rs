@@ -1,14 +1,14 @@
-//! Modbus TCP: a header with transaction number and length before the protocol data unit (MODBUS Messaging on TCP/IP
-//! V1.0b, section 3.1.3).
+//! Modbus TCP: a header with transaction number and length before the protocol data unit (MODBUS
+//! Messaging on TCP/IP V1.0b, section 3.1.3).
 
 use super::{ModbusError, Reply, Request};
 
 /// Transaction, protocol, length, unit.
 const HEADER: usize = 7;
-/// The longest protocol data unit with its unit address.
+/// Longest protocol data unit including its unit address.
 const MAX_LENGTH: usize = 254;
 
-/// The frame that carries a request to a unit. `transaction` comes back in the reply.
+/// Encodes the frame of a request to a unit. The reply repeats `transaction`.
 ///
 /// # Errors
 /// [`ModbusError::Count`].
@@ -23,7 +23,8 @@ pub fn encode(transaction: u16, unit: u8, request: &Request<'_>) -> Result<Vec<u
     Ok(frame)
 }
 
-/// Collects the bytes of one reply as they come. Replies with another transaction number are late and are passed over.
+/// Assembles one reply from received bytes. Replies with another transaction number are late and are
+/// skipped.
 #[derive(Clone, Debug)]
 pub struct ReplyReader<'a> {
     transaction: u16,
@@ -34,22 +35,22 @@ pub struct ReplyReader<'a> {
 }
 
 impl<'a> ReplyReader<'a> {
-    /// For the reply to `request`, sent to `unit` as `transaction`.
+    /// Reader for the reply to `request`, sent to `unit` as `transaction`.
     #[must_use]
     pub const fn new(transaction: u16, unit: u8, request: Request<'a>) -> Self {
         Self { transaction, unit, request, bytes: Vec::new(), late: 0 }
     }
 
-    /// Replies to earlier requests that were passed over.
+    /// Number of skipped replies to earlier requests.
     #[must_use]
     pub const fn late(&self) -> usize {
         self.late
     }
 
-    /// Takes what came. `None` until the reply is whole.
+    /// Adds received bytes. Returns `None` until the reply is complete.
     ///
     /// # Errors
-    /// [`ModbusError`]; after [`ModbusError::Frame`] the connection has lost its place and must be closed.
+    /// [`ModbusError`]; after [`ModbusError::Frame`] the connection is out of sync and must be closed.
     pub fn push(&mut self, bytes: &[u8]) -> Option<Result<Reply, ModbusError>> {
         self.bytes.extend_from_slice(bytes);
         loop {

@@ -1,4 +1,4 @@
-//! A run as one page of HTML that refers to nothing outside itself.
+//! A run as one self-contained HTML page.
 
 mod picture;
 mod plot;
@@ -14,7 +14,7 @@ use std::fmt::Display;
 
 const STYLE: &str = include_str!("style.css");
 
-/// Writes the page of a run that ended with a report, or broke off for a reason.
+/// Renders the page of a run that ended with a report or broke off.
 #[must_use]
 pub fn page(config: &Config, trace: &Trace, ending: Result<&JobReport, &dyn Display>) -> String {
     let sentence = sentence(ending);

@@ -1,4 +1,4 @@
-//! A stage's last left image with markers and motion.
+//! The last left image of a stage, with markers and their motion.
 
 use crate::recording::png::PngEncoder;
 use crate::report::Stage;
@@ -11,9 +11,9 @@ use gelstereo_core::track::MarkerState;
 use maud::{Markup, html};
 use std::fmt::Write;
 
-/// A ring's radius as a share of the distance between neighbours, so that rings do not touch.
+/// Radius of a ring relative to the marker pitch; rings must not touch.
 const RING_SHARE: f64 = 0.42;
-/// A shorter motion shows no direction.
+/// Shortest motion drawn as an arrow.
 const MIN_ARROW_PX: f64 = 1.5;
 
 /// The picture, with its caption and a legend.
@@ -51,7 +51,7 @@ fn data_url(image: &Gray) -> String {
     format!("data:image/png;base64,{}", STANDARD.encode(file))
 }
 
-/// What a ring stands for.
+/// Meaning of a ring.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Ring {
     Seen,
@@ -82,10 +82,10 @@ impl Ring {
     }
 }
 
-/// Rings about the markers and arrows along their motion.
+/// Rings around the markers and arrows along their motion.
 fn overlay(markers: &Markers) -> Markup {
     let radius = RING_SHARE * pitch_px(markers);
-    // A pixel's centre is at whole numbers, and SVG has a pixel's corner there.
+    // Pixel centres have integer coordinates; SVG has pixel corners there.
     let place = |p: &DVec2| *p + DVec2::splat(0.5);
     let rings = Ring::ALL.map(|ring| {
         let mut path = String::new();
@@ -123,7 +123,7 @@ fn legend(markers: &Markers) -> Markup {
     }
 }
 
-/// Mean distance between neighbours of a row.
+/// Mean distance between neighbours in a row.
 fn pitch_px(markers: &Markers) -> f64 {
     let gaps = markers.now_px.chunks(markers.cols.max(1)).take(markers.rows).flat_map(|row| row.windows(2));
     let (sum, count) = gaps

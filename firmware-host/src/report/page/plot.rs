@@ -10,25 +10,25 @@ const HEIGHT: f64 = 330.0;
 const LEFT: f64 = 52.0;
 const RIGHT: f64 = 24.0;
 const BOTTOM: f64 = 44.0;
-/// Three lines of stage names.
+/// Space for three lines of stage names.
 const TOP: f64 = 58.0;
 const NAME_LINES: usize = 3;
 const TRIGGER_LINES: usize = 3;
 const LINE_HEIGHT: f64 = 16.0;
-/// A letter of the plot's 12 px font is about this wide.
+/// Approximate width of a letter in the plot's 12 px font.
 const LETTER_WIDTH: f64 = 7.0;
 /// Narrower bands would look like lines.
 const MIN_BAND_WIDTH: f64 = 4.0;
-/// Lines of the grid, about.
+/// Approximate number of grid lines.
 const GRID_LINES: f64 = 5.0;
 
-/// Motion at which a stage's trigger acts.
+/// Motion at which a stage's trigger fires.
 pub(super) struct Threshold {
     pub(super) stage: Stage,
     pub(super) motion_px: f64,
 }
 
-/// What time and motion are in the plot.
+/// Maps time and motion to plot coordinates.
 struct Scale {
     begin_ns: u64,
     span_s: f64,
@@ -89,7 +89,7 @@ pub(super) fn motion(trace: &Trace, thresholds: &[Threshold]) -> Markup {
     }
 }
 
-/// Every other stage on a darker ground, with its name above.
+/// Shades every other stage, with its name above.
 fn bands(stages: &[TracedStage], scale: &Scale, samples: &[Sample]) -> Markup {
     let last_ns = samples.last().map_or(scale.begin_ns, |sample| sample.time_ns);
     let spans: Vec<(&TracedStage, f64, f64)> = stages
@@ -116,7 +116,7 @@ fn bands(stages: &[TracedStage], scale: &Scale, samples: &[Sample]) -> Markup {
     }
 }
 
-/// Every other stage of those that are wide enough to be seen.
+/// Selects every other stage among those wide enough to be visible.
 fn shaded(spans: &[(&TracedStage, f64, f64)]) -> Vec<bool> {
     let mut wide = 0;
     let is_shaded = |(_, begin, end): &(&TracedStage, f64, f64)| {
@@ -130,7 +130,7 @@ fn name_y(line: usize) -> f64 {
     (line as f64).mul_add(-LINE_HEIGHT, TOP - 6.0)
 }
 
-/// The line of each name: the lowest on which it does not meet the name before.
+/// Line of each name: the lowest on which it does not overlap the previous name.
 fn name_lines(spans: &[(&TracedStage, f64, f64)]) -> Vec<usize> {
     let mut ends = [f64::NEG_INFINITY; NAME_LINES];
     spans
@@ -175,7 +175,7 @@ fn round_step(range: f64) -> f64 {
     factor * power
 }
 
-/// With as many decimals as a step needs.
+/// Formats with as many decimals as the step needs.
 fn rounded(value: f64, step: f64) -> String {
     let decimals = (-step.log10().floor()).clamp(0.0, 6.0) as usize;
     format!("{value:.decimals$}")
@@ -201,7 +201,7 @@ fn triggers(trace: &Trace, scale: &Scale) -> Markup {
     html! {
         @for (number, trigger) in shown.enumerate() {
             @let x = scale.x(trigger.time_ns);
-            // Names stand beside their line, and within the picture.
+            // Names are placed beside their line, within the picture.
             @let anchor = if x > 0.5 * WIDTH { "end" } else { "start" };
             @let beside = if x > 0.5 * WIDTH { -4.0 } else { 4.0 };
             line class="trigger" x1=(tenths(x)) x2=(tenths(x)) y1=(TOP) y2=(HEIGHT - BOTTOM) {}
@@ -210,12 +210,12 @@ fn triggers(trace: &Trace, scale: &Scale) -> Markup {
     }
 }
 
-/// Neighbours stand at different heights, since triggers may follow each other closely.
+/// Neighbours get different heights, since triggers may follow each other closely.
 fn trigger_y(number: usize) -> f64 {
     ((number % TRIGGER_LINES) as f64).mul_add(LINE_HEIGHT, TOP + 14.0)
 }
 
-/// The curve, broken where frames could not be sensed, and a tick for each of these.
+/// The curve, interrupted at frames that could not be processed; each of these gets a tick.
 fn curve(samples: &[Sample], scale: &Scale) -> Markup {
     let (mut path, mut ticks, mut pen_down) = (String::new(), String::new(), false);
     let bottom = HEIGHT - BOTTOM;

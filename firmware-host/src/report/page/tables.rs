@@ -11,9 +11,9 @@ use maud::{Markup, html};
 use serde::Serialize;
 use serde_json::{Map, Value};
 
-/// Parts of the report that have a section of their own, or stand in the header.
+/// Fields of the report that have their own section or are in the header.
 const SHOWN: [&str; 8] = ["outcome", "why", "stages", "localized", "truth", "digest", "recording", "page"];
-/// Parts of the pose's evidence that stand in its sentences and its table.
+/// Fields of the pose that are in its sentences and its table.
 const SHOWN_OF_POSE: [&str; 9] = [
     "t_sensor_object",
     "t_gripper_object",
@@ -27,7 +27,7 @@ const SHOWN_OF_POSE: [&str; 9] = [
 ];
 const AXES: [&str; 6] = ["x", "y", "z", "rotation about x", "rotation about y", "rotation about z"];
 
-/// Every stage that was begun, in order.
+/// Every stage that was started, in order.
 pub(super) fn stages(stages: &[TracedStage]) -> Markup {
     html! {
         div class="wide" {
@@ -79,7 +79,7 @@ fn figures(report: Option<&StageReport>) -> Markup {
     }
 }
 
-/// Sections of what the report holds besides outcome and stages.
+/// Sections for the report's contents besides outcome and stages.
 pub(super) fn results(report: &JobReport) -> Markup {
     let others = further(report, &SHOWN);
     html! {
@@ -114,7 +114,7 @@ pub(super) fn results(report: &JobReport) -> Markup {
     }
 }
 
-/// What of a part of the report has no place of its own.
+/// Fields of a part of the report that are not shown elsewhere.
 fn further(part: &impl Serialize, shown: &[&str]) -> Map<String, Value> {
     let fields = match serde_json::to_value(part) {
         Ok(Value::Object(fields)) => fields,
@@ -169,7 +169,7 @@ fn pose(localized: &Localized) -> Markup {
     }
 }
 
-/// Position in millimetres and rotation vector in degrees; `None` of what is no pose.
+/// Position in millimetres and rotation vector in degrees; `None` for an invalid pose.
 fn coordinates(rows: &[[f64; 4]; 4]) -> Option<[f64; 6]> {
     let pose = Pose::from_rows(rows).ok()?;
     let (p, r) = (pose.translation_mm, so3::log(pose.rotation));
@@ -192,7 +192,7 @@ fn files(recording: &RecordingReport) -> Markup {
     }
 }
 
-/// What the run was made with.
+/// Setup of the run.
 pub(super) fn setup(config: &Config) -> Markup {
     let lines = [
         ("Frame source", kind(&config.source)),
@@ -209,7 +209,7 @@ pub(super) fn setup(config: &Config) -> Markup {
     }
 }
 
-/// The `kind` of a setting as the configuration has it.
+/// The `kind` of a setting in the configuration.
 fn kind(setting: &impl Serialize) -> String {
     let value = serde_json::to_value(setting).unwrap_or_default();
     value.get("kind").and_then(Value::as_str).unwrap_or("unknown").to_owned()

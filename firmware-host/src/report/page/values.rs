@@ -3,7 +3,7 @@
 use maud::{Markup, html};
 use serde_json::Value;
 
-/// Units that end a figure's name, and how they are written.
+/// Unit suffixes of figure names, and their notation.
 const UNITS: [(&str, &str); 12] = [
     ("_mm_s", "mm/s"),
     ("_mrad", "mrad"),
@@ -32,7 +32,7 @@ impl Label {
     }
 }
 
-/// Whole numbers as such, others with three or more significant decimals.
+/// Integers without decimals, others with three, or five below 0.1.
 fn number(value: f64) -> String {
     if value.fract() == 0.0 && value.abs() < 1e15 {
         format!("{value:.0}")
@@ -54,7 +54,7 @@ pub(super) fn named(name: &str, value: f64) -> Markup {
     }
 }
 
-/// A text, or named values of any depth, a line each.
+/// A text, or named values of any depth, one per line.
 pub(super) fn values(value: &Value) -> Markup {
     if let Value::String(text) = value {
         return html! { p { (text) } };
@@ -115,7 +115,7 @@ fn flatten(lines: &mut Vec<Line>, name: String, value: &Value) {
 mod tests {
     use super::*;
 
-    /// Whatever another part of the report holds has a place on the page, with its unit.
+    /// All other contents of the report appear on the page, with their units.
     #[test]
     fn values_of_any_depth_stand_on_lines_of_their_own() {
         let value =

@@ -14,7 +14,7 @@ pub(in crate::detect) struct BinaryCentroid {
 }
 
 impl BinaryCentroid {
-    /// With these settings.
+    /// Creates the rung from its settings.
     pub fn new(params: &DetectParams) -> Self {
         Self { variance_px2: params.centre_sigma_px * params.centre_sigma_px }
     }

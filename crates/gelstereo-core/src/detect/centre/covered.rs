@@ -1,4 +1,4 @@
-//! How far off the centre of a marker may be that something covers in part.
+//! Centre uncertainty of partly covered markers.
 
 use crate::detect::markers::Markers;
 use crate::detect::mask::blob_filter::usual_area_px2;
@@ -8,19 +8,19 @@ use alloc::vec::Vec;
 use core::f64::consts::FRAC_1_PI;
 use core::ops::Range;
 
-/// Grey level from which on a pixel shows a light's reflection: it saturates the sensor, and gel does not.
+/// Least grey level of a light's reflection, which saturates the sensor; gel does not.
 pub(in crate::detect) const GLARE_LEVEL: u8 = 250;
-/// Pixels that are that bright by chance.
+/// Number of pixels that may be that bright by chance.
 const FEW: usize = 2;
-/// Pixels beyond a marker's outline that its centre depends on.
+/// Width around a marker's outline that its centre depends on, pixels.
 const AROUND_PX: f64 = 3.0;
-/// Markers differ in area by this share without anything over them: by the light, by their tilt on a pressed gel.
+/// Relative spread of the areas of uncovered markers, due to the light and to tilt on a pressed gel.
 const AREA_SPREAD: f64 = 0.2;
-/// Share of a marker that a reflection beside it hides at least, by where its light is spread.
+/// Least share of a marker hidden by a reflection beside it, given where the reflection spreads.
 const MIN_HIDDEN: f64 = 0.1;
 /// Neighbours whose areas a marker is compared with: those around it on a square lattice.
 const NEIGHBOURS: usize = 8;
-/// Side of a cell in which reflections are noted: about that of a marker's square.
+/// Side of the cells in which reflections are recorded: about that of a marker's square.
 const CELL_PX: usize = 16;
 
 /// Columns and rows of the square that the centre of a marker of this radius depends on.
@@ -42,7 +42,7 @@ pub(in crate::detect) fn is_under_glare(image: GrayView<'_>, centre_px: DVec2, r
     rows.map(bright).sum::<usize>() > FEW
 }
 
-/// Where in an image light's reflections are, in square cells.
+/// Map of the light reflections in an image, in square cells.
 #[derive(Clone, Debug, Default)]
 pub(in crate::detect) struct Glares {
     has_any: Vec<bool>,
@@ -50,14 +50,15 @@ pub(in crate::detect) struct Glares {
 }
 
 impl Glares {
-    /// Makes room for images of this size.
+    /// Reserves memory for images of this size.
     pub fn reserve(&mut self, (width, height): (usize, usize)) {
         self.columns = width.div_ceil(CELL_PX);
         self.has_any.clear();
         self.has_any.resize(self.columns * height.div_ceil(CELL_PX), false);
     }
 
-    /// Finds them; whether there are any. No allocation for an image as large as one before.
+    /// Finds the reflections; returns whether there are any. Does not allocate if an earlier image was as
+    /// large.
     fn find(&mut self, image: GrayView<'_>) -> bool {
         self.reserve((image.width(), image.height()));
         let is_bright = |pixels: &[u8]| reaches(pixels, GLARE_LEVEL);
@@ -72,14 +73,14 @@ impl Glares {
         found
     }
 
-    /// Whether some may be in the square that a marker of this radius depends on.
+    /// Whether some reflection may be in this square.
     fn may_reach(&self, (columns, rows): &(Range<usize>, Range<usize>)) -> bool {
         let cells = |range: &Range<usize>| range.start / CELL_PX..range.end.div_ceil(CELL_PX);
         cells(rows).any(|row| self.has_any[row * self.columns..][cells(columns)].contains(&true))
     }
 
-    /// Tells markers beside a light's reflection that it may hide a part of them; `areas_px2` is scratch. Models of a marker
-    /// that take a share of its pixels' contrast do not see what is missing at its rim.
+    /// Raises the variance of markers that a light's reflection may hide in part; `areas_px2` is scratch.
+    /// Marker models that use a share of the pixels' contrast do not detect a part missing at the rim.
     pub fn doubt(&mut self, image: GrayView<'_>, areas_px2: &mut Vec<u32>, markers: &mut Markers) {
         if !self.find(image) {
             return;
@@ -99,8 +100,8 @@ impl Glares {
     }
 }
 
-/// Variance of a coordinate of a marker that no model fits, px²: what hides a part of it moves the centroid of the rest by
-/// the radius times the hidden share, which is known by its area beside the usual one.
+/// Variance of a coordinate, px², of a marker without a model fit. A covered part shifts the centroid of
+/// the rest by the radius times the hidden share, which follows from its area relative to the usual one.
 pub(in crate::detect) fn variance_px2(
     image: GrayView<'_>,
     centre_px: DVec2,
@@ -119,8 +120,8 @@ pub(in crate::detect) fn variance_px2(
     (radius_px * hidden) * (radius_px * hidden)
 }
 
-/// As [`variance_px2`], of a marker of the list that no model fits, beside the areas of the markers around it: perspective and
-/// a curved gel make areas differ over the image without anything over the markers.
+/// As [`variance_px2`], for a listed marker without a model fit, relative to the markers around it.
+/// Perspective and a curved gel make areas of uncovered markers vary over the image.
 pub(in crate::detect) fn unfitted_px2(image: GrayView<'_>, markers: &Markers, index: usize) -> f64 {
     let (centre_px, area_px2) = (markers.centres_px[index], markers.area_px2[index]);
     let (least, most) = areas_around_px2(markers, index);
@@ -128,8 +129,8 @@ pub(in crate::detect) fn unfitted_px2(image: GrayView<'_>, markers: &Markers, in
     variance_px2(image, centre_px, (f64::from(area_px2), f64::from(usual_px2)))
 }
 
-/// Range of the areas of the markers nearest to one of the list, without the smallest and the largest: one of them may be
-/// covered too. Any area without so many markers.
+/// Range of the areas of the markers nearest to a listed one, without the smallest and largest, since one
+/// may be covered too. Unlimited with too few markers.
 fn areas_around_px2(markers: &Markers, index: usize) -> (u32, u32) {
     let mut nearest = [(f64::INFINITY, 0); NEIGHBOURS];
     let others = markers.centres_px.iter().zip(&markers.area_px2).enumerate().filter(|&(k, _)| k != index);
@@ -146,7 +147,7 @@ fn areas_around_px2(markers: &Markers, index: usize) -> (u32, u32) {
     if first_px2.is_finite() { (nearest[1].1, nearest[NEIGHBOURS - 2].1) } else { (0, u32::MAX) }
 }
 
-/// As [`variance_px2`], of a marker that something touches, so that it has no band; 0 of others.
+/// As [`variance_px2`], for a marker without a band because something touches it; 0 for others.
 pub(in crate::detect) fn without_band_px2(
     band: u8,
     image: GrayView<'_>,

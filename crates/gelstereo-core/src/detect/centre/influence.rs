@@ -1,28 +1,29 @@
-//! What the image's noise does to a fitted centre.
+//! Effect of image noise on a fitted centre.
 
 use crate::math::{DVec2, exp};
 use alloc::vec;
 use alloc::vec::Vec;
 
-/// Farthest pixel from the middle that is looked at. A larger marker has edges that are straight within the grain.
+/// Largest pixel offset from the middle that is considered. Edges of larger markers are straight on the
+/// scale of the grain.
 const REACH: i32 = 16;
 const SIDE: usize = 2 * REACH as usize + 1;
-/// Most pixels that are looked at.
+/// Largest number of pixels considered.
 pub(in crate::detect) const MAX_PIXELS: usize = SIDE * SIDE;
 
-/// Something's variance for a variance of 1 of the white noise, and of the grain.
+/// Variances for unit variance of white noise and of grain.
 #[derive(Clone, Copy, Debug, Default)]
 pub(in crate::detect) struct Variances {
     pub white: f64,
     pub grain: f64,
 }
 
-/// How a centre answers to the pixels of a window, px per grey level.
+/// Sensitivity of a centre to the pixels of a window, px per grey level.
 #[derive(Clone, Debug)]
 pub(in crate::detect) struct Influence {
     answers: Vec<DVec2>,
     blurred: Vec<DVec2>,
-    /// Farthest pixel with an answer, along either axis.
+    /// Largest offset of a pixel with a sensitivity, along either axis.
     farthest: usize,
     fits: bool,
 }
@@ -47,9 +48,9 @@ impl Influence {
         }
     }
 
-    /// Variance of both coordinates together, px² per squared grey level of white noise and of grain: gᵀ C g for the
-    /// answers g and the noise's correlation C, exp(-dx² / (4 l²)) exp(-dy² / (4 l²)) for grain. `None` for a window that
-    /// is too large.
+    /// Variance of both coordinates together, px² per squared grey level, for white noise and for grain:
+    /// gᵀ C g with the sensitivities g and the noise correlation C, which is
+    /// exp(-dx² / (4 l²)) exp(-dy² / (4 l²)) for grain. `None` if the window is too large.
     pub fn variances_px2(&mut self, grain_size_px: f64) -> Option<Variances> {
         if !self.fits {
             return None;
@@ -68,7 +69,7 @@ impl Influence {
         for (row, answers) in answers.chunks_exact(SIDE).enumerate() {
             for (apart, blurred) in blurred.chunks_exact(SIDE).skip(row).enumerate() {
                 let pairs = answers[within.clone()].iter().zip(&blurred[within.clone()]);
-                // Rows are alike both ways.
+                // Each pair of different rows counts twice.
                 let times = if apart == 0 { 1.0 } else { 2.0 };
                 grain += times * alike[apart] * pairs.map(|(a, b)| a.dot(*b)).sum::<f64>();
             }

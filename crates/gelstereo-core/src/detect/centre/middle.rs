@@ -1,16 +1,15 @@
-//! What most of some values agree on.
+//! Robust mean of a set of values.
 
 use crate::math::sqrt;
 
-/// What most of some values agree on.
+/// 20 % trimmed mean with its standard error.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::detect) struct Middle {
-    /// Mean of all but the least and the largest fifth: a fifth of the samples may be no disc, and in normal noise its
-    /// variance is 1.15 of the mean's; a median's is 1.57, which the weights then lack as precision and the covariance
-    /// as truth.
+    /// Mean of all but the smallest and the largest fifth, since a fifth of the samples may not be discs.
+    /// In normal noise its variance is 1.15 times the plain mean's; a median's is 1.57 times, which would
+    /// make the weights less precise and the covariance wrong.
     pub mean: f64,
-    /// Its standard deviation, by those of the values with either fifth drawn in to its inner end (Tukey and
-    /// McLaughlin 1963).
+    /// Standard error from the Winsorised values (Tukey and McLaughlin 1963).
     pub error: f64,
 }
 
@@ -39,8 +38,8 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        /// Up to a fifth of the values may be anything: the mean stays within the others, and is their plain mean
-        /// where the rest are split between both ends.
+        /// Up to a fifth of the values may be arbitrary: the mean stays within the others. If the
+        /// outliers are split evenly between both ends, it is the plain mean of the others.
         #[test]
         fn a_fifth_of_the_samples_may_be_no_disc(
             good in prop::collection::vec(-1.0..1.0_f64, 1..40), wrong in prop::collection::vec(-1e9..1e9_f64, 0..10),
@@ -62,9 +61,9 @@ mod tests {
         }
     }
 
-    /// Over sets of normal samples the means scatter as they say, and less than medians. A deviation of n sets is
-    /// known to 1 / sqrt(2 n), here 1.1 %, four of which are allowed; the error's own mean over few samples is some 3
-    /// % less than its rms.
+    /// Over sets of normal samples, the means scatter by the stated error, and less than medians. A
+    /// standard deviation from n sets is known to 1 / sqrt(2 n), here 1.1 %; four times that is allowed.
+    /// Over few samples the mean of the error is about 3 % less than its rms.
     #[test]
     fn the_mean_is_as_good_as_it_says_and_better_than_a_median() {
         const SETS: usize = 4000;
@@ -79,7 +78,8 @@ mod tests {
                     (means + mean * mean, medians + median * median, said + error * error);
             }
             assert!(abs(sqrt(said / means) - 1.0) < 4.0 * 0.011 + 0.03, "{count}: {}", sqrt(said / means));
-            // 1.57 / 1.15 = 1.37 for many samples, a twentieth less for fifteen; each variance is known to 2.2 %.
+            // 1.57 / 1.15 = 1.37 for many samples, a twentieth less for fifteen; each variance is known
+            // to 2.2 %.
             assert!(medians > 1.2 * means, "{count}: {}", medians / means);
         }
         assert!(Middle::of(&mut []).is_none());

@@ -1,4 +1,4 @@
-//! From a component to a sub-pixel centre: a trait, and a rung for every [`Centre`](crate::params::Centre).
+//! From a component to a sub-pixel centre: a trait and one rung per [`Centre`](crate::params::Centre).
 
 mod binary;
 pub(super) mod covered;
@@ -24,17 +24,17 @@ use crate::image::GrayView;
 use crate::math::DVec2;
 use crate::math::linalg::Symmetric;
 
-/// The components of an image, and which of them are markers.
+/// Components of an image, and the filter that selects the markers.
 pub(super) struct Components<'a> {
     pub image: GrayView<'a>,
     pub segmentation: &'a mut Segmentation,
     pub filter: &'a BlobFilter,
-    /// Most markers that an image of this size may have.
+    /// Largest number of markers of an image of this size.
     pub max_markers: usize,
 }
 
 impl Components<'_> {
-    /// Components that are markers and lie whole in the image.
+    /// Components that are markers and lie entirely in the image.
     fn markers(&self) -> impl Iterator<Item = &Blob> {
         self.segmentation.components.blobs().iter().filter(|blob| self.filter.passes_whole(blob))
     }
@@ -43,42 +43,42 @@ impl Components<'_> {
         self.segmentation.components.runs(blob)
     }
 
-    /// Lists the means of the markers' components.
+    /// Appends the mean positions of the markers' components.
     fn push_means(&self, variance_px2: f64, out: &mut Markers) {
         self.markers().for_each(|blob| out.push(blob.mean_px(), variance_px2, blob.area_px2));
     }
 }
 
-/// A marker found in a window of the mask.
+/// Marker found in a window of the mask.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct MaskedMarker {
     /// Index of the expected position.
     pub position: u32,
-    /// Row and column of its first pixel: no two components of an image share it.
+    /// Row and column of its first pixel, unique per component of an image.
     pub key: (u16, u16),
     pub centre_px: DVec2,
     pub area_px2: u32,
     pub spread_px2: Symmetric<2>,
 }
 
-/// The markers found in windows of an image's mask.
+/// Markers found in windows of an image's mask.
 pub(super) struct MaskedMarkers<'a> {
     pub image: GrayView<'a>,
     pub mask: &'a [u8],
-    /// In the order in which the markers are listed.
+    /// In the order of the marker list.
     pub markers: &'a [MaskedMarker],
     pub max_markers: usize,
 }
 
-/// A way from components to centres with covariances.
+/// Method that computes centres and covariances from components.
 pub(super) trait CentreRung {
-    /// Lists the markers of an image in the order of their components; `out` is empty, with room for all.
+    /// Appends the markers of an image in the order of their components; `out` is empty, with room for all.
     fn centre_components(&mut self, found: &mut Components<'_>, out: &mut Markers);
 
-    /// First centre of a component in a window of the mask.
+    /// Initial centre of a component in a window of the mask.
     fn centre_piece(&mut self, image: GrayView<'_>, blob: &Blob, runs: &[Run]) -> DVec2;
 
-    /// Refines listed markers; `weighted` gives the intensity-weighted centroid of one of them.
+    /// Refines listed markers; `weighted` returns the intensity-weighted centroid of one of them.
     fn refine_masked(
         &mut self,
         _: &MaskedMarkers<'_>,
@@ -87,19 +87,19 @@ pub(super) trait CentreRung {
     ) {
     }
 
-    /// Refines listed markers that windows of the image showed; whether it may have moved any.
+    /// Refines listed markers found by the window classifier; returns whether any may have moved.
     fn refine_windows(&mut self, _: GrayView<'_>, _: &MarkerSize, _: &mut Markers) -> bool {
         false
     }
 
-    /// Variance of a coordinate of a marker that a window showed with this contrast over which weights grow, px².
+    /// Variance of a coordinate, px², of a marker found by the window classifier with this band.
     fn window_variance_px2(&self, band: u8) -> f64;
 
-    /// Whether its covariances allow for light's reflections.
+    /// Whether the covariances already account for light reflections.
     fn sees_glare(&self) -> bool {
         false
     }
 
-    /// Forgets what was learned of earlier images.
+    /// Discards what was learned from earlier images.
     fn forget(&mut self) {}
 }

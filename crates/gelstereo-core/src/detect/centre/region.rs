@@ -1,17 +1,18 @@
-//! The part of an image in which the lattice of markers lies.
+//! Image region of the marker lattice.
 
 use crate::math::{DVec2, ceil, floor};
 use alloc::vec::Vec;
 use core::ops::Range;
 
-/// Markers from which a region is known; fewer may lie anywhere.
+/// Least number of markers for a region; fewer may lie anywhere.
 const MIN_MARKERS: usize = 16;
-/// Share of the markers beyond each side. That leaves out dirt beside the gel, which is found as markers too, and the outermost
-/// rows of 17 markers or more, where the light falls off at the gel's edge: on path-traced images 0.01 leaves grain of 0.8 to
-/// 1.3 levels² that is not there, and 0.06 leaves 0.1 to 0.4.
+/// Share of the markers beyond each side. It excludes dirt beside the gel, which is also detected as
+/// markers, and the outermost rows of 17 markers or more, where the light falls off at the gel's edge. On
+/// path-traced images 0.01 leaves spurious grain of 0.8 to 1.3 levels², and 0.06 leaves 0.1 to 0.4.
 const BEYOND: f64 = 0.06;
 
-/// An octagon: between two values of x, y, x + y and x - y each, pixels. Lattices in any direction fill most of theirs.
+/// Octagon: x, y, x + y and x - y each between two limits, pixels. Lattices of any orientation fill most
+/// of it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Region {
     low: [f64; 4],
@@ -19,8 +20,8 @@ pub struct Region {
 }
 
 impl Region {
-    /// Around all markers but 6 % beyond each side; `None` for fewer than 16. No allocation where `scratch` has
-    /// room for all of them.
+    /// Octagon around all markers but 6 % beyond each side; `None` for fewer than 16. Does not allocate
+    /// if `scratch` has room for all of them.
     #[must_use]
     pub fn around(centres_px: &[DVec2], scratch: &mut Vec<f64>) -> Option<Self> {
         if centres_px.len() < MIN_MARKERS {
@@ -38,7 +39,7 @@ impl Region {
         Some(region)
     }
 
-    /// The columns of a row that lie inside, of an image of this width.
+    /// Columns of a row inside the region, for an image of this width.
     #[must_use]
     pub fn columns(&self, row: usize, width: usize) -> Range<usize> {
         let y = row as f64;
@@ -52,7 +53,7 @@ impl Region {
     }
 }
 
-/// What is between two values on each pair of sides.
+/// Directions of the limits.
 const ALONG: [DVec2; 4] =
     [DVec2::new(1.0, 0.0), DVec2::new(0.0, 1.0), DVec2::new(1.0, 1.0), DVec2::new(1.0, -1.0)];
 
@@ -61,7 +62,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// Markers `pitch_px` apart, turned by an angle about (160, 120).
+    /// Markers `pitch_px` apart, rotated about (160, 120).
     fn lattice(side: usize, pitch_px: f64, turn_rad: f64) -> Vec<DVec2> {
         let turn = DVec2::new(libm::cos(turn_rad), libm::sin(turn_rad));
         let middle = 0.5 * (side - 1) as f64;
@@ -70,7 +71,7 @@ mod tests {
     }
 
     proptest! {
-        /// Dirt beyond the lattice is left out, and nearly all markers are in, whatever the direction.
+        /// For any orientation, dirt beyond the lattice is excluded and nearly all markers are included.
         #[test]
         fn a_region_holds_the_lattice_and_not_what_lies_beside_it(
             side in 15..40_usize, turn_rad in 0.0..1.6_f64, dirt in 0..2_usize,
@@ -84,7 +85,7 @@ mod tests {
                 region.columns(row, 320).contains(&(at.x as usize))
             };
             let inside = centres_px[..clean].iter().filter(|at| is_in(at)).count();
-            // At most 6 % beyond each of four sides, the corners beyond four others, and those on a side.
+            // At most 6 % beyond each of four sides, the corners beyond the four others, and those on a side.
             prop_assert!(inside as f64 >= 0.55 * clean as f64, "{} of {}", inside, clean);
             prop_assert!(centres_px[clean..].iter().all(|at| !is_in(at)));
         }

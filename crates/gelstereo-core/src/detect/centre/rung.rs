@@ -1,4 +1,4 @@
-//! The rung that the settings name.
+//! Centring rung chosen by the settings.
 
 use super::CentreRung;
 use super::binary::BinaryCentroid;
@@ -9,7 +9,7 @@ use super::weighted::WeightedCentroid;
 use crate::params::{Centre, DetectParams};
 use alloc::boxed::Box;
 
-/// One of the rungs.
+/// One of the centring rungs.
 #[derive(Clone, Debug)]
 pub(in crate::detect) enum Rung {
     Binary(BinaryCentroid),
@@ -20,7 +20,7 @@ pub(in crate::detect) enum Rung {
 }
 
 impl Rung {
-    /// The one that the settings name.
+    /// Creates the rung that the settings choose.
     pub fn new(params: &DetectParams) -> Self {
         match params.centre {
             Centre::Binary => Self::Binary(BinaryCentroid::new(params)),

@@ -8,8 +8,8 @@ use crate::math::{DMat3, DVec2, DVec3, round};
 use crate::params::{DetectParams, Polarity};
 use alloc::vec::Vec;
 
-/// Pixels by which the component grows on all sides: wide enough that the outermost ones lie on the gel, beyond the
-/// marker's blurred edge.
+/// Margin by which the component grows on all sides, pixels. The outermost pixels then lie on the gel,
+/// beyond the marker's blurred edge.
 const MARGIN_PX: i64 = 2;
 
 /// Fractional bits of grey levels here. Coordinates below 2^15 and 2^24 pixels keep every sum within 63 bits.
@@ -17,11 +17,11 @@ const LEVEL_BITS: u32 = 12;
 
 /// Mean position weighted by contrast, over the component and `MARGIN_PX` around it.
 ///
-/// The contrast is measured from a plane through the outermost of these pixels, so that neither a slope of light nor the
-/// marker's neighbours (which bend the background of the threshold) shift the centre. It counts from 1/8 of the
-/// marker's mean contrast up to that mean only: noise of the gel and grain of the paint then carry no weight, and
-/// what is left is the marker's edge, which holds the information about its position. A narrower band would see less
-/// noise, but sharp edges pass it within less than a pixel, and the centre would depend on where in a pixel it lies.
+/// The contrast is relative to a plane through the outermost of these pixels. Neither a slope of light nor
+/// neighbouring markers (which distort the threshold's background) then shift the centre. Weights grow from
+/// 1/8 of the marker's mean contrast up to that mean, so that gel noise and paint grain have no weight. What
+/// remains is the edge, which holds the position information. A narrower band would be less noisy, but sharp
+/// edges would cross it within less than a pixel, and the centre would depend on the sub-pixel position.
 #[derive(Clone, Debug)]
 pub(in crate::detect) struct WeightedCentroid {
     polarity: Polarity,
@@ -31,20 +31,20 @@ pub(in crate::detect) struct WeightedCentroid {
 }
 
 impl WeightedCentroid {
-    /// With these settings.
+    /// Creates the rung from its settings.
     pub fn new(params: &DetectParams) -> Self {
         let variance_px2 = params.centre_sigma_px * params.centre_sigma_px;
         Self { polarity: params.polarity, variance_px2, spans: Vec::new() }
     }
 
-    /// Makes room for the tallest component that there can be in an image of this height.
+    /// Reserves memory for the tallest possible component in an image of this height.
     pub fn reserve(&mut self, height: usize) {
         self.spans.clear();
         self.spans.reserve(height + 2 * MARGIN_PX as usize);
     }
 
-    /// The centre of a component with these runs. Falls back to its mean where too little of the surround lies
-    /// within the image to lay a plane through it.
+    /// Centre of a component with these runs. Falls back to its mean if too little of its surroundings
+    /// lies within the image for a plane fit.
     pub fn run<'a>(
         &mut self,
         image: GrayView<'_>,
@@ -101,8 +101,8 @@ impl CentreRung for WeightedCentroid {
     }
 }
 
-/// The pixels of the grown component that lie within the image. Coordinates u, v are twice the distances from the middle of its
-/// bounding box: whole numbers for any width.
+/// Pixels of the grown component within the image. Coordinates u, v are twice the distances from the
+/// centre of its bounding box: integers for any width.
 struct Window<'a> {
     image: GrayView<'a>,
     spans: &'a [(i64, i64)],
@@ -141,8 +141,8 @@ impl<'a> Window<'a> {
         DVec2::new(self.ends.0 as f64 * 0.5, self.ends.1 as f64 * 0.5)
     }
 
-    /// Row by row of the image: its number, its first and last column within the image, and its pixels from the first
-    /// column on.
+    /// Rows of the window: row index, first and last column within the image, and the pixels from the
+    /// first to the last.
     fn rows(&self) -> impl Iterator<Item = (i64, i64, i64, &'a [u8])> {
         let (width, height) = (self.image.width() as i64, self.image.height() as i64);
         let image = self.image;
@@ -172,8 +172,7 @@ impl<'a> Window<'a> {
         sign(polarity) * (plane - (levels << LEVEL_BITS))
     }
 
-    /// Sum of all weights, and of the weights times u and times v; `None` where the plane leaves all bounds within the
-    /// window.
+    /// Sum of all weights, and of the weights times u and times v; `None` if values could overflow.
     fn moments(
         &self,
         surround: &Plane,
@@ -187,7 +186,7 @@ impl<'a> Window<'a> {
         let corner = |x: i64, y: i64| surround.at(self.u(x), self.v(y)).abs() < i64::from(i32::MAX / 2);
         let bounded = [left, right].iter().all(|&x| corner(x, self.top) && corner(x, bottom));
         let (low, high) = (i32::try_from(low).ok()?, i32::try_from(high).ok()?);
-        // With weights of a column below 2^32, all moments stay below 2^63.
+        // With column weights below 2^32, all moments stay below 2^63.
         let tall = i64::from(high - low) * self.spans.len() as i64 > i64::from(u32::MAX);
         if !bounded || tall {
             return None;
@@ -237,7 +236,7 @@ impl<'a> Window<'a> {
         }
         let [n, u, v, uu, uv, vv, g, gu, gv] = s.map(|sum| sum as f64);
         let normal = DMat3::from_cols(DVec3::new(n, u, v), DVec3::new(u, uu, uv), DVec3::new(v, uv, vv));
-        // Pixels on one line leave the plane's tilt open.
+        // Pixels on one line do not determine the plane's tilt.
         if normal.determinant() <= 1e-9 * n * uu * vv {
             return None;
         }
@@ -258,7 +257,7 @@ fn summed(levels: &[u8], mut value: impl FnMut(u8) -> i64) -> (i64, i64) {
     (sum, levels.len() as i64 * sum - sums)
 }
 
-/// Of the contrast of dark markers on a bright gel.
+/// Sign of the contrast relative to dark markers on a bright gel.
 const fn sign(polarity: Polarity) -> i64 {
     match polarity {
         Polarity::Dark => 1,

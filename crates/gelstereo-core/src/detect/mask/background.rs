@@ -1,4 +1,5 @@
-//! Which pixels are darker (or brighter) than their surround by the threshold, row by row.
+//! Background subtraction row by row: which pixels are darker (or brighter) than the background by the
+//! threshold.
 
 use super::blocks::{BLOCK_PX, Blocks};
 use super::blur::{FRACTION_BITS, GaussianBlur};
@@ -9,7 +10,7 @@ use crate::image::GrayView;
 use crate::params::{Background, DetectParams, Polarity, Threshold};
 use alloc::vec::Vec;
 
-/// The rungs of [`Background`] and [`Threshold`], and their scratch.
+/// Background subtraction by the chosen [`Background`] and [`Threshold`] rungs, with its scratch.
 #[derive(Clone, Debug)]
 pub struct Difference {
     polarity: Polarity,
@@ -21,19 +22,19 @@ pub struct Difference {
     radius: usize,
     blocks: Blocks,
     thresholds: Thresholds,
-    /// The image smoothed to whole levels, dark markers on a bright gel.
+    /// Smoothed image in whole levels, dark markers on a bright gel.
     smoothed: Vec<u8>,
-    /// Level below which a smoothed pixel of each block belongs to a marker.
+    /// For each block, the level below which a smoothed pixel belongs to a marker.
     block_limits: Vec<u8>,
-    /// What a pixel of the present row must be darker than, or differ by.
+    /// Limits of the current row, per pixel: level to stay below, or least difference.
     limits: Limits,
 }
 
 #[derive(Clone, Debug)]
 enum Rung {
-    /// Both filtered images at full precision, as the paper.
+    /// Both filtered images at full precision, as in the paper.
     Rows { smooth: GaussianBlur, surround: GaussianBlur, smooth_row: Vec<u16>, surround_row: Vec<u16> },
-    /// The smoothed image against one level a block.
+    /// Smoothed image against one background level per block.
     Blocks,
 }
 
@@ -44,7 +45,7 @@ struct Limits {
 }
 
 impl Difference {
-    /// With these settings.
+    /// Creates the stage from its settings.
     #[must_use]
     pub fn new(params: &DetectParams) -> Self {
         let kernel_px = params.background_kernel_px;
@@ -72,7 +73,7 @@ impl Difference {
         }
     }
 
-    /// Reads an image: what its thresholds are, and for blocks also its surrounds.
+    /// Prepares an image: computes the thresholds and, for the block rung, the background.
     pub fn survey(&mut self, image: GrayView<'_>) {
         let (width, height) = (image.width(), image.height());
         if self.threshold == Threshold::Auto || matches!(self.rung, Rung::Blocks) {
@@ -97,24 +98,24 @@ impl Difference {
             self.block_limits.clear();
             let levels = self.thresholds.levels().iter().zip(self.blocks.surround());
             self.block_limits.extend(levels.map(|(&least, &surround)| {
-                // A whole level is darker by at least this when it is below the next whole one.
+                // A whole level differs by at least `least` if it is below the next whole limit.
                 surround.checked_sub(least).map_or(0, |limit| (limit >> FRACTION_BITS) as u8 + 1)
             }));
         }
     }
 
-    /// The thresholds of the surveyed image.
+    /// Thresholds of the prepared image.
     pub const fn thresholds(&self) -> &Thresholds {
         &self.thresholds
     }
 
-    /// Room for an image, which is free until the next survey.
+    /// Image-sized buffer, free for other use until the next [`Self::survey`].
     pub const fn spare(&mut self) -> &mut Vec<u8> {
         &mut self.smoothed
     }
 
-    /// Writes 255 where a pixel of row `y` of the surveyed image differs by the threshold, else 0. Row 0 starts an
-    /// image; the others must follow in order.
+    /// Writes 255 where a pixel of row `y` of the prepared image differs by the threshold, else 0. Rows
+    /// must be passed in order, from row 0 on.
     pub fn row(&mut self, image: GrayView<'_>, y: usize, mask: &mut [u8]) {
         let width = image.width();
         let levels = self.thresholds.row(y);
@@ -145,7 +146,7 @@ impl Difference {
     }
 }
 
-/// One value a block becomes one a pixel.
+/// Expands one value per block to one value per pixel.
 fn spread<T: Copy + Default>(blocks: &[T], width: usize, out: &mut Vec<T>) {
     out.resize(width, T::default());
     let (whole, last) = out.as_chunks_mut::<BLOCK_PX>();

@@ -1,13 +1,13 @@
-//! Pixels of one row that are set, as bits.
+//! Bit mask of one image row.
 
 use crate::image::reaches;
 use alloc::vec::Vec;
 use core::ops::Range;
 
-/// Bits of a word.
+/// Bits per word.
 const WORD: usize = u64::BITS as usize;
 
-/// Set pixels of a row, 64 to a word, and none beyond its end.
+/// Set pixels of a row, 64 per word; no bit is set beyond the row's end.
 #[derive(Clone, Debug, Default)]
 pub struct BitRow {
     words: Vec<u64>,
@@ -15,14 +15,14 @@ pub struct BitRow {
 }
 
 impl BitRow {
-    /// Starts a row of this width, with no pixel set. No allocation for a row as wide as one before.
+    /// Starts a row of this width with no pixel set. Does not allocate if an earlier row was as wide.
     pub fn start(&mut self, width: usize) {
         self.width = width;
         self.words.clear();
         self.words.resize(width.div_ceil(WORD), 0);
     }
 
-    /// Sets pixels of the row.
+    /// Sets a range of pixels.
     pub fn set(&mut self, pixels: Range<usize>) {
         if pixels.is_empty() {
             return;
@@ -39,7 +39,7 @@ impl BitRow {
         }
     }
 
-    /// Sets the pixels whose byte is 255 and not 0.
+    /// Sets the pixels whose byte is 255 (bytes are 0 or 255).
     pub fn set_where(&mut self, row: &[u8]) {
         let (wholes, rest) = row[..self.width].as_chunks::<8>();
         let mut last = [0; 8];
@@ -49,10 +49,10 @@ impl BitRow {
         }
     }
 
-    /// Sets the pixels whose level is this or more.
+    /// Sets the pixels whose level is at least `level`.
     pub fn set_bright(&mut self, row: &[u8], level: u8) {
         let row = &row[..self.width];
-        // Few rows have any, and few words of these.
+        // Few rows contain such pixels, and few words of those rows.
         if !reaches(row, level) {
             return;
         }
@@ -65,11 +65,11 @@ impl BitRow {
         }
     }
 
-    /// Sets all pixels up to so many from one that is set.
+    /// Dilates by `by` pixels to both sides.
     pub fn widen(&mut self, by: usize) {
         let mut reached = 0;
         while reached < by {
-            // What is reached so far has no holes, and gets none, also where the row's end hides half of it.
+            // A step of at most one pixel more than reached so far leaves no holes, also at the row's end.
             let step = (reached + 1).min(by - reached).min(WORD - 1);
             let mut before = 0;
             for word in 0..self.words.len() {
@@ -84,7 +84,7 @@ impl BitRow {
         }
     }
 
-    /// Stretches of pixels that are not set, from left to right.
+    /// Ranges of pixels that are not set, from left to right.
     pub fn clear_stretches(&self) -> impl Iterator<Item = Range<usize>> {
         let mut from = 0;
         core::iter::from_fn(move || {
@@ -95,7 +95,7 @@ impl BitRow {
         })
     }
 
-    /// The first pixel from one on that is set; or, with a `flip` of ones only, that is not set.
+    /// First pixel at or after `from` that is set; with all ones for `flip`, the first that is not set.
     #[inline]
     fn next(&self, from: usize, flip: u64) -> Option<usize> {
         let mut mask = u64::MAX << (from % WORD);
@@ -111,9 +111,9 @@ impl BitRow {
     }
 }
 
-/// One bit of each byte of 0 or 255, the first byte's lowest.
+/// Packs bytes of 0 or 255 into one bit each, the first byte into the lowest bit.
 pub(in crate::detect) const fn bits(bytes: [u8; 8]) -> u32 {
-    // Byte n keeps its bit n; the product's highest byte is the sum of all.
+    // Byte n keeps its bit n; the highest byte of the product is the sum of all bytes.
     let kept = u64::from_le_bytes(bytes) & 0x8040_2010_0804_0201;
     (kept.wrapping_mul(0x0101_0101_0101_0101) >> 56) as u32
 }
@@ -125,7 +125,7 @@ mod tests {
     use core::ops::Range;
     use proptest::prelude::*;
 
-    /// Half of what is reached lies beyond the row's end.
+    /// Half of the dilated range lies beyond the row's end.
     #[test]
     fn a_pixel_at_the_end_of_a_row_widens_without_holes() {
         let mut row = BitRow::default();
@@ -137,7 +137,7 @@ mod tests {
     }
 
     proptest! {
-        /// Against a look at one pixel after the other, however they were set.
+        /// Agrees with a pixel-by-pixel scan for both ways of setting pixels.
         #[test]
         fn stretches_lie_between_set_pixels(
             runs in prop::collection::vec((any::<bool>(), 1..90_usize), 1..9), by in 0..20_usize
@@ -162,7 +162,7 @@ mod tests {
             }
             prop_assert_eq!(of_bytes.clear_stretches().collect::<Vec<_>>(), expected.clone());
             prop_assert_eq!(of_runs.clear_stretches().collect::<Vec<_>>(), expected.clone());
-            // Widened, those that are long enough end so many pixels sooner where something is set.
+            // After dilation, clear ranges are `by` pixels shorter at each end that borders a set pixel.
             of_runs.widen(by);
             let narrower = |stretch: &Range<usize>| {
                 let start = if stretch.start == 0 { 0 } else { stretch.start + by };

@@ -1,32 +1,33 @@
-//! Which components are markers: by their size beside the others', and by their shape.
+//! Blob filter: which components are markers, by area relative to the others and by shape.
 
 use super::components::Blob;
 use crate::detect::markers::CutMarker;
 use crate::params::{DetectParams, Threshold};
 use alloc::vec::Vec;
 
-/// Shares of the usual marker's area beyond which a component is a speck of paint or noise, or the edge of something.
+/// Least and largest marker area, as shares of the usual area. Smaller are specks of paint or noise,
+/// larger are edges of other objects.
 const SHARES_OF_AREA: (f64, f64) = (0.4, 2.0);
 
-/// Markers differ in area: one that shows all of the usual one may still lack this share of its own.
+/// Relative spread of marker areas: a cut marker of the usual visible area may still lack this share.
 const AREA_SPREAD: f64 = 0.2;
 
-/// What markers of one image are like.
+/// Area and shape limits of the markers of one image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(in crate::detect) struct BlobFilter {
     size_px: (usize, usize),
     min_area_px2: u32,
     max_area_px2: u32,
     min_fill: f64,
-    /// The usual marker's area; 0 where no marker lies whole in the image.
+    /// Usual marker area; 0 if no marker lies entirely in the image.
     pub usual_px2: f64,
-    /// Least and largest area of a marker beside others of the usual area.
+    /// Least and largest marker area, relative to the usual area.
     pub range_px2: (u32, u32),
 }
 
 impl BlobFilter {
-    /// For the components of an image of a size, with how many of them are markers by their own area and shape.
-    /// `areas_px2` is scratch.
+    /// Builds the filter from the components of an image of this size, and counts those that are markers
+    /// by their own area and shape. `areas_px2` is scratch.
     pub fn of(
         blobs: &[Blob],
         params: &DetectParams,
@@ -49,12 +50,13 @@ impl BlobFilter {
         (sieve, found)
     }
 
-    /// Whether a component is a marker that lies whole in the image.
+    /// Whether a component is a marker that lies entirely in the image.
     pub fn passes_whole(&self, blob: &Blob) -> bool {
         self.is_marker(blob) && !self.is_cut(blob) && self.in_range(blob)
     }
 
-    /// The marker that a component is the visible part of, if it is; `variance` is that of a coordinate of a whole one, px².
+    /// The cut marker of which a component is the visible part, or `None`; `variance` is that of one
+    /// coordinate of a whole marker, px².
     pub fn cut_marker(&self, blob: &Blob, variance: f64) -> Option<CutMarker> {
         let is_one = self.is_marker(blob)
             && self.is_cut(blob)
@@ -63,7 +65,7 @@ impl BlobFilter {
         is_one.then(|| cut_marker(blob, blob.sides_reached(self.size_px), self.usual_px2, variance))
     }
 
-    /// Whether a component is of a plausible size and round enough.
+    /// Whether a component has a plausible area and is round enough.
     fn is_marker(&self, blob: &Blob) -> bool {
         (self.min_area_px2..=self.max_area_px2).contains(&blob.area_px2) && in_shape(blob, self.min_fill)
     }
@@ -78,7 +80,7 @@ impl BlobFilter {
     }
 }
 
-/// Least and largest area of a marker beside others of a usual area.
+/// Least and largest marker area for a given usual area.
 pub(in crate::detect) fn area_range_px2(threshold: Threshold, usual_px2: f64) -> (u32, u32) {
     match threshold {
         Threshold::Auto if usual_px2 > 0.0 => {
@@ -88,8 +90,8 @@ pub(in crate::detect) fn area_range_px2(threshold: Threshold, usual_px2: f64) ->
     }
 }
 
-/// The area below which half of all pixels of markers of these areas lie; 0 for none. Specks may outnumber the markers, but
-/// they have few pixels.
+/// Area at the median pixel of all markers (pixel-weighted median); 0 for none. Specks may outnumber the
+/// markers but have few pixels.
 pub(in crate::detect) fn usual_area_px2(areas_px2: &mut [u32]) -> f64 {
     areas_px2.sort_unstable();
     let all: u64 = areas_px2.iter().map(|&area| u64::from(area)).sum();
@@ -101,15 +103,15 @@ pub(in crate::detect) fn usual_area_px2(areas_px2: &mut [u32]) -> f64 {
     usual.map_or(0.0, |&area| f64::from(area))
 }
 
-/// Whether a component is round enough.
+/// Whether a component fills enough of its bounding ellipse.
 pub(in crate::detect) fn in_shape(blob: &Blob, min_fill: f64) -> bool {
     let (width, height) = blob.size();
     let ellipse_area = core::f64::consts::FRAC_PI_4 * f64::from(width) * f64::from(height);
     f64::from(blob.area_px2) >= min_fill * ellipse_area
 }
 
-/// Whether what reaches the border may be a part of a marker, not a strip along the border. Without whole markers to compare
-/// with, nothing may.
+/// Whether a component at the border may be part of a marker and not a strip along the border. Always
+/// false without whole markers to compare with.
 fn is_as_long_as_a_marker(blob: &Blob, usual_px2: f64) -> bool {
     let (width, height) = blob.size();
     let side = f64::from(width.max(height));
@@ -117,11 +119,12 @@ fn is_as_long_as_a_marker(blob: &Blob, usual_px2: f64) -> bool {
     side * side <= 4.0 * 4.0 * core::f64::consts::FRAC_1_PI * usual_px2
 }
 
-/// What is known of a marker whose component reaches the image's borders across (x, y).
+/// Cut marker of a component that reaches the image's borders across (x, y).
 fn cut_marker(blob: &Blob, reached: (bool, bool), usual_px2: f64, variance: f64) -> CutMarker {
     let area = f64::from(blob.area_px2);
     let full = (1.0 + AREA_SPREAD) * usual_px2.max(area);
-    // As long as the border cuts straight, the visible centroid is less than the radius times the hidden share away.
+    // If the border cuts straight, the visible centroid is off by less than the radius times the hidden
+    // share.
     let hidden_px = crate::math::sqrt(full * core::f64::consts::FRAC_1_PI) * (1.0 - area / full);
     let of = |reached: bool| variance + if reached { hidden_px * hidden_px } else { 0.0 };
     CutMarker {

@@ -1,30 +1,30 @@
-//! An image in blocks of 8 x 8 pixels: their mean and their darkest level, and from both the gel's level around each
-//! block and the markers' contrast.
+//! Image reduced to blocks of 8 x 8 pixels: mean and darkest level of each. Both give the gel's level
+//! around each block and the markers' contrast.
 //!
-//! All levels are those of dark markers on a bright gel; the images of bright markers are inverted first.
+//! All levels are those of dark markers on a bright gel; images of bright markers are inverted first.
 
 use super::blur::{FRACTION_BITS, reflect101};
 use alloc::vec::Vec;
 
-/// Side of a block, pixels: smaller than the gap between markers or not, since only means and extremes are taken.
+/// Side of a block, pixels. It may exceed the gap between markers, since only means and extremes are used.
 pub const BLOCK_PX: usize = 8;
 
-/// Blocks of an image and what was found in them.
+/// Blocks of an image with their statistics.
 #[derive(Clone, Debug, Default)]
 pub struct Blocks {
-    /// Blocks in a row.
+    /// Blocks per row.
     cols: usize,
     /// Mean of each block, with [`FRACTION_BITS`].
     mean: Vec<u16>,
     /// Darkest smoothed level of each block.
     darkest: Vec<u8>,
-    /// Gel and markers around each block, with [`FRACTION_BITS`].
+    /// Background (mean of gel and markers) around each block, with [`FRACTION_BITS`].
     surround: Vec<u16>,
     columns: Columns,
     boxes: BoxSums,
 }
 
-/// Sums and minima of a row of blocks, column by column of pixels.
+/// Sums and minima of each pixel column within a row of blocks.
 #[derive(Clone, Debug, Default)]
 struct Columns {
     sum: Vec<u16>,
@@ -44,7 +44,7 @@ impl Blocks {
         self.columns.darkest.resize(width, 0);
     }
 
-    /// Adds the next row of blocks: up to [`BLOCK_PX`] rows of pixels, fewer at the lower border only.
+    /// Adds the next row of blocks: [`BLOCK_PX`] rows of pixels, fewer only at the lower border.
     pub fn push(&mut self, rows: &[u8]) {
         self.columns.add_up(rows);
         let Columns { sum, darkest } = &self.columns;
@@ -68,7 +68,8 @@ impl Blocks {
         }
     }
 
-    /// Ends the image: `surround` is then the mean of the blocks up to `radius` blocks away, mirrored at the borders.
+    /// Ends the image and computes the background: the mean of the blocks within `radius` blocks,
+    /// mirrored at the borders.
     pub fn finish(&mut self, radius: usize) {
         let area = (2 * radius as u64 + 1).pow(2);
         let sums = self.boxes.run(&self.mean, u64::from, self.cols, radius);
@@ -76,19 +77,19 @@ impl Blocks {
         self.surround.extend(sums.iter().map(|sum| ((sum + area / 2) / area) as u16));
     }
 
-    /// Blocks in a row.
+    /// Blocks per row.
     #[must_use]
     pub const fn cols(&self) -> usize {
         self.cols
     }
 
-    /// The level around each block with [`FRACTION_BITS`], row by row.
+    /// Background around each block with [`FRACTION_BITS`], row by row.
     #[must_use]
     pub fn surround(&self) -> &[u16] {
         &self.surround
     }
 
-    /// Means of the blocks, and the levels around them to be replaced beside a wall ([`super::walls`]).
+    /// Means of the blocks, and their backgrounds, which are replaced beside a wall ([`super::walls`]).
     pub(in crate::detect) fn means_and_surround_mut(&mut self) -> (&[u16], &mut [u16]) {
         (&self.mean, &mut self.surround)
     }
@@ -103,14 +104,14 @@ impl Blocks {
         &self.darkest
     }
 
-    /// How much darker than its surround each block's darkest pixel is, row by row, in 1 / 2^`bits` grey levels.
+    /// Contrast of each block's darkest pixel to its background, row by row, in 1 / 2^`bits` grey levels.
     pub fn depths(&self, bits: u32) -> impl Iterator<Item = u16> {
         self.surround.iter().zip(&self.darkest).map(move |(&surround, &darkest)| {
             surround.saturating_sub(u16::from(darkest) << FRACTION_BITS) >> (FRACTION_BITS - bits)
         })
     }
 
-    /// Radius, in blocks, of the square nearest to one with this side.
+    /// Radius in blocks of the square whose side is nearest to `kernel_px`.
     #[must_use]
     pub const fn radius_of(kernel_px: usize) -> usize {
         // (2 r + 1) blocks of 8 px, rounded.
@@ -119,13 +120,13 @@ impl Blocks {
 }
 
 impl Columns {
-    /// Of these rows.
+    /// Computes them for these rows.
     fn add_up(&mut self, rows: &[u8]) {
         let Self { sum, darkest } = self;
         let width = sum.len();
         let row = |y: usize| &rows[y * width..][..width];
         if rows.len() == BLOCK_PX * width {
-            // All at once: sums and minima stay in registers. At most 8 x 255.
+            // All rows at once: sums and minima stay in registers. A sum is at most 8 x 255.
             let all: [&[u8]; BLOCK_PX] = core::array::from_fn(row);
             for (x, sum) in sum.iter_mut().enumerate() {
                 *sum = all.iter().fold(0, |sum, row| sum + u16::from(row[x]));
@@ -154,8 +155,8 @@ pub struct BoxSums {
 }
 
 impl BoxSums {
-    /// The sum of `weigh` over the blocks up to `radius` away from each, of rows of `cols` values; the total of a square must
-    /// fit 64 bits.
+    /// Sums `weigh` over the blocks within `radius` of each, for rows of `cols` values. The total of a
+    /// square must fit 64 bits.
     pub fn run<T: Copy>(
         &mut self,
         values: &[T],
@@ -189,7 +190,7 @@ impl BoxSums {
 /// Running sums over `radius` elements to both sides, mirrored at the ends.
 fn sum_along(line: &[u64], radius: usize, out: &mut [u64]) {
     let (len, reach) = (line.len(), radius as isize);
-    // Folding an index divides; few need it.
+    // Mirroring an index needs a division; few indices need it.
     let mirrored = |x: isize| line.get(x as usize).copied().unwrap_or_else(|| line[reflect101(x, len)]);
     let mut sum: u64 = (-reach..reach).map(mirrored).sum();
     let first = radius.min(len);

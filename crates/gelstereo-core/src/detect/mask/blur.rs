@@ -1,7 +1,7 @@
-//! Smoothing and surround: row by row, in fixed point, without multiplying images in memory.
+//! Gaussian smoothing and background, row by row in fixed point.
 //!
-//! All rows are unsigned with [`FRACTION_BITS`] fractional bits, so that two of them can be subtracted without the
-//! double rounding of 8-bit images, and every kernel sums to exactly one: a constant image stays constant.
+//! Rows are unsigned with [`FRACTION_BITS`] fractional bits, so their differences avoid the double
+//! rounding of 8-bit images. Every kernel sums to exactly one: a constant image stays constant.
 
 use crate::image::GrayView;
 use crate::math::exp;
@@ -13,8 +13,8 @@ pub const FRACTION_BITS: u32 = 7;
 /// Fractional bits of a kernel weight: the weight 1 still fits 16 bits.
 const WEIGHT_BITS: u32 = 15;
 
-/// Index of the pixel that stands for `index` of a line of `len` pixels mirrored about its end pixels
-/// (`gfedcb|abcdefgh|gfedcba`), as often as needed.
+/// Index that replaces `index` in a line of `len` pixels mirrored about its end pixels
+/// (`gfedcb|abcdefgh|gfedcba`), repeatedly if needed.
 #[must_use]
 pub const fn reflect101(index: isize, len: usize) -> usize {
     if len < 2 {
@@ -25,10 +25,10 @@ pub const fn reflect101(index: isize, len: usize) -> usize {
     if folded < len { folded } else { period - folded }
 }
 
-/// Separable Gaussian as a finite impulse response with mirrored borders, equal to `cv2.GaussianBlur(image, (k, k), 0)`
-/// up to that function's coarser weights.
+/// Separable Gaussian FIR filter with mirrored borders, equal to `cv2.GaussianBlur(image, (k, k), 0)` up
+/// to that function's coarser weights.
 ///
-/// sigma = 0.3 ((k - 1) / 2 - 1) + 0.8 px, but kernels up to 9 px are OpenCV's fixed ones.
+/// sigma = 0.3 ((k - 1) / 2 - 1) + 0.8 px; kernels up to 9 px are OpenCV's fixed ones.
 #[derive(Clone, Debug)]
 pub struct GaussianBlur {
     /// From the centre outwards.
@@ -38,13 +38,15 @@ pub struct GaussianBlur {
 }
 
 impl GaussianBlur {
-    /// For an odd kernel side, 1 to 255 px; an even side counts as the next smaller odd one.
+    /// Creates the filter for an odd kernel side, 1 to 255 px; an even side counts as the next smaller
+    /// odd one.
     #[must_use]
     pub fn new(kernel_px: usize) -> Self {
         Self { weights: gaussian_weights(kernel_px / 2), sums: Vec::new(), padded: Vec::new() }
     }
 
-    /// Standard deviation that white noise of unit variance keeps: the weights' squares, summed along one axis.
+    /// Standard deviation of filtered white noise of unit variance: the sum of squared weights along one
+    /// axis.
     #[must_use]
     pub fn noise_gain(&self) -> f64 {
         let one = f64::from(1_u32 << WEIGHT_BITS);
@@ -81,7 +83,7 @@ impl GaussianBlur {
     }
 }
 
-/// Half of a kernel whose whole sums to 2^15, from the centre outwards.
+/// Half a kernel from the centre outwards; the whole kernel sums to 2^15.
 fn gaussian_weights(radius: usize) -> Vec<u16> {
     // OpenCV's kernels of 1 to 9 px, in 256ths.
     const FIXED: [&[u16]; 5] = [&[256], &[128, 64], &[96, 64, 16], &[72, 56, 28, 8], &[60, 51, 30, 13, 4]];
@@ -94,7 +96,7 @@ fn gaussian_weights(radius: usize) -> Vec<u16> {
     let total = samples[0] + 2.0 * samples[1..].iter().sum::<f64>();
     let one = f64::from(1_u32 << WEIGHT_BITS);
     let mut weights: Vec<u16> = samples.iter().map(|s| crate::math::round(s / total * one) as u16).collect();
-    // What rounding took or gave goes to the centre, where it changes the variance least.
+    // The rounding error goes to the centre weight, where it changes the variance least.
     let sides: u32 = weights[1..].iter().map(|&w| 2 * u32::from(w)).sum();
     weights[0] = ((1 << WEIGHT_BITS) - sides) as u16;
     weights
@@ -107,9 +109,9 @@ fn add_centre<T: Copy + Into<u32>>(sums: &mut [u32], line: &[T], weight: u16) {
     }
 }
 
-/// `sums += (a + b) * weight`; adding before multiplying halves the products of a symmetric kernel.
+/// `sums += (a + b) * weight`; adding first halves the multiplications of a symmetric kernel.
 ///
-/// Not inlined, since the compiler turns it into vector code only when it sees it alone: three times as fast.
+/// Not inlined: the compiler vectorises it only as a separate function, three times as fast.
 #[inline(never)]
 fn add_pair<T: Copy + Into<u16>>(sums: &mut [u32], a: &[T], b: &[T], weight: u16) {
     for ((sum, &a), &b) in sums.iter_mut().zip(a).zip(b) {
@@ -118,7 +120,7 @@ fn add_pair<T: Copy + Into<u16>>(sums: &mut [u32], a: &[T], b: &[T], weight: u16
     }
 }
 
-/// Fills `radius` elements at both ends from the line between them.
+/// Mirrors the line into `radius` elements at both ends.
 fn mirror_ends<T: Copy>(padded: &mut [T], radius: usize) {
     let len = padded.len() - 2 * radius;
     for k in 1..=radius {

@@ -6,7 +6,7 @@ use crate::math::DVec2;
 use crate::math::linalg::Symmetric;
 use alloc::vec::Vec;
 
-/// A maximal stretch of set pixels in one row. No image has more columns or rows than 16 bits count.
+/// Maximal run of set pixels in one row. Columns and rows of an image fit 16 bits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Run {
     /// Row.
@@ -15,14 +15,14 @@ pub struct Run {
     pub start: u16,
     /// One past the last column.
     pub end: u16,
-    /// A run of the same component that stands earlier in raster order, or itself; when all rows are joined, the blob.
+    /// Earlier run of the same component in raster order, or itself; after `finish`, the blob.
     parent: u32,
-    /// The next run of the same component, or `NO_RUN`; until all rows are joined, pixels.
+    /// Next run of the same component, or `NO_RUN`; before `finish`, a pixel count.
     next: u32,
 }
 
 impl Run {
-    /// Of a component that nobody joined.
+    /// Run that belongs to no union-find tree.
     pub(in crate::detect) const fn alone(y: u16, start: u16, end: u16) -> Self {
         Self { y, start, end, parent: 0, next: NO_RUN }
     }
@@ -30,10 +30,10 @@ impl Run {
 
 const NO_RUN: u32 = u32::MAX;
 
-/// The blob of a component that is not kept.
+/// Blob index of a component that is not kept.
 const NO_BLOB: u32 = u32::MAX;
 
-/// An 8-connected component, with the sums from which its centroid follows.
+/// 8-connected component with the sums that give its centroid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Blob {
     /// Pixels.
@@ -53,14 +53,14 @@ pub struct Blob {
     first_run: u32,
 }
 
-/// Labelling and its scratch.
+/// Connected-component labelling with its scratch.
 #[derive(Clone, Debug)]
 pub struct Components {
     runs: Vec<Run>,
     blobs: Vec<Blob>,
-    /// Smaller components are left out.
+    /// Components with fewer pixels are left out.
     least_px2: u32,
-    /// Components as large as that, and how many of them are listed.
+    /// Number of components of at least that area, and the limit on how many of them are listed.
     kept: usize,
     most_kept: usize,
     /// Rows pushed.
@@ -71,21 +71,21 @@ pub struct Components {
     pieces: usize,
 }
 
-/// What an image of markers stays below: runs and components. Memory is reserved for so many, not for every second pixel.
-/// Images up to 128 x 128 cannot exceed them.
+/// Limits on runs and components of an image of markers. Memory is reserved for these, not for every
+/// second pixel. Images up to 128 x 128 cannot exceed them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Most {
-    /// Runs: one per 8 pixels; 65536 from half a megapixel on, and one per 16 pixels from a whole one on. The finer
-    /// the pixels, the more of them a run has.
+    /// Runs: one per 8 pixels; 65536 from half a megapixel on; one per 16 pixels from one megapixel on.
+    /// Runs are longer in images of higher resolution.
     pub runs: usize,
     /// Components: one per 16 pixels.
     pub components: usize,
-    /// Components that are kept: one per 32 pixels, and no more than 16384.
+    /// Kept components: one per 32 pixels, at most 16384.
     pub kept: usize,
 }
 
 impl Most {
-    /// Of an image of this size.
+    /// Limits of an image of this size.
     #[must_use]
     pub fn of(width: usize, height: usize) -> Self {
         let pixels = width * height;
@@ -104,7 +104,7 @@ impl Default for Components {
 }
 
 impl Components {
-    /// Leaves out components of fewer than `least_px2` pixels: specks of noise take up no room.
+    /// Leaves out components of fewer than `least_px2` pixels, so that noise specks use no memory.
     #[must_use]
     pub const fn keeping(least_px2: u32) -> Self {
         Self {
@@ -119,7 +119,8 @@ impl Components {
         }
     }
 
-    /// Components of a mask of 0 and 255, in the raster order of their first pixels; all of them, however many there are.
+    /// Components of a mask of 0 and 255, in raster order of their first pixels, without a limit on their
+    /// number.
     pub fn run(&mut self, mask: GrayView<'_>) -> &[Blob] {
         self.start(mask.width(), mask.height());
         self.most_kept = usize::MAX;
@@ -127,11 +128,11 @@ impl Components {
         self.finish()
     }
 
-    /// Starts a mask of this size; scratch is reserved for [`Most`] runs and components, and grows for more.
+    /// Starts a mask of this size. Scratch is reserved for [`Most`] runs and components, and grows for more.
     pub(in crate::detect) fn start(&mut self, width: usize, height: usize) {
         let most = Most::of(width, height);
         self.runs.clear();
-        // Whoever stops at the limit does so at the end of a row.
+        // The caller checks the limit at the end of each row.
         self.runs.reserve(most.runs + width.div_ceil(2));
         self.blobs.clear();
         self.blobs.reserve(most.kept);
@@ -139,8 +140,8 @@ impl Components {
         (self.rows, self.above, self.pieces) = (0, 0, 0);
     }
 
-    /// Sets the pixels of `row` that some component has in the same column of these rows of an image each pixel of whose mask
-    /// has `scale` columns and rows.
+    /// Sets the pixels of `row` whose column is covered by a component in any of these image rows. One
+    /// mask pixel is `scale` columns and rows of the image.
     pub fn cover(&self, rows: core::ops::RangeInclusive<usize>, scale: usize, row: &mut BitRow) {
         let (start, end) = (*rows.start() / scale, *rows.end() / scale);
         let first = self.runs.partition_point(|run| (run.y as usize) < start);
@@ -163,17 +164,17 @@ impl Components {
         (self.rows, self.above) = (self.rows + 1, first);
     }
 
-    /// The components of the rows pushed, but for those that are left out.
+    /// Completes the labelling and returns the kept components of the rows pushed.
     pub(in crate::detect) fn finish(&mut self) -> &[Blob] {
         for index in 0..self.runs.len() {
             let Run { start, end, parent, .. } = self.runs[index];
-            // Parents stand earlier, or are the run itself, and know their root by now.
+            // The parent is this run or an earlier one, whose root is already resolved.
             let root = self.runs[parent as usize].parent;
             self.runs[index].parent = root;
             self.runs[root as usize].next += u32::from(end - start);
         }
         for index in 0..self.runs.len() {
-            // Runs before this one know their blob already.
+            // The blob of earlier runs is already resolved.
             let Run { parent, next: area_px2, .. } = self.runs[index];
             let blob = if parent as usize == index {
                 self.open(area_px2)
@@ -185,7 +186,7 @@ impl Components {
                 blob.add(&self.runs[index]);
             }
         }
-        // From the last run on each points to the one before, so that a blob needs no last run.
+        // Linked in reverse order, so that a blob needs no pointer to its last run.
         for (index, run) in (0..self.runs.len() as u32).zip(&mut self.runs).rev() {
             if let Some(blob) = self.blobs.get_mut(run.parent as usize) {
                 run.next = core::mem::replace(&mut blob.first_run, index);
@@ -194,7 +195,7 @@ impl Components {
         &self.blobs
     }
 
-    /// The blob of a component that begins here.
+    /// Opens the blob of a component whose first run this is.
     fn open(&mut self, area_px2: u32) -> u32 {
         if area_px2 < self.least_px2 {
             return NO_BLOB;
@@ -207,7 +208,7 @@ impl Components {
         self.blobs.len() as u32 - 1
     }
 
-    /// Components of the last mask that are large enough to be kept; beyond [`Most::kept`] they are only counted.
+    /// Components of the last mask that are large enough; those beyond [`Most::kept`] are counted only.
     #[must_use]
     pub const fn kept(&self) -> usize {
         self.kept
@@ -219,24 +220,24 @@ impl Components {
         &self.runs
     }
 
-    /// The components of the last mask that are kept.
+    /// Kept components of the last mask.
     #[must_use]
     pub fn blobs(&self) -> &[Blob] {
         &self.blobs
     }
 
-    /// The runs of one of [`Self::blobs`], in raster order.
+    /// Runs of one of [`Self::blobs`], in raster order.
     pub fn runs(&self, blob: &Blob) -> impl Iterator<Item = &Run> + Clone {
         let at = |index: u32| self.runs.get(index as usize);
         core::iter::successors(at(blob.first_run), move |run| at(run.next))
     }
 
-    /// 64 pixels at a time: most of a mask is empty.
+    /// Appends a row's runs, 64 pixels at a time since most of a mask is empty.
     fn push_runs(&mut self, row: &[u8], y: u16) {
         let (wholes, rest) = row.as_chunks::<64>();
         let mut last = [0; 64];
         last[..rest.len()].copy_from_slice(rest);
-        // The column at which the open run starts.
+        // Column at which the open run starts.
         let mut open = None;
         for (x, pixels) in (0_u32..).step_by(64).zip(wholes.iter().chain((!rest.is_empty()).then_some(&last)))
         {
@@ -270,7 +271,7 @@ impl Components {
         self.pieces += 1;
     }
 
-    /// Joins runs of one row with those of the row above that touch them, also by a corner.
+    /// Joins the runs of one row with those of the row above that touch them (8-connectivity).
     fn join(&mut self, above: core::ops::Range<usize>, here: core::ops::Range<usize>) {
         let (mut i, mut j) = (above.start, here.start);
         while i < above.end && j < here.end {
@@ -288,7 +289,7 @@ impl Components {
         }
     }
 
-    /// The first run of a run's component; paths are halved on the way.
+    /// First run of a run's component, with path halving.
     fn root(&mut self, mut run: u32) -> u32 {
         loop {
             let parent = self.runs[run as usize].parent;
@@ -321,22 +322,23 @@ impl Blob {
         first_run: NO_RUN,
     };
 
-    /// Sums of the first and last column, and of the first and last row: twice the middle of its bounding box.
+    /// Sums of the first and last column, and of the first and last row: twice the centre of the bounding
+    /// box.
     pub(in crate::detect) fn ends(&self) -> (i64, i64) {
         (i64::from(self.left) + i64::from(self.right), i64::from(self.top) + i64::from(self.bottom))
     }
 
-    /// Columns and rows from the first to the last.
+    /// Width and height of the bounding box, pixels.
     pub(in crate::detect) fn size(&self) -> (u32, u32) {
         (u32::from(self.right - self.left) + 1, u32::from(self.bottom - self.top) + 1)
     }
 
-    /// Four times the covariance of the component's pixels, given its runs: for an ellipse the matrix whose eigenvalues
-    /// are its squared semi-axes, px².
+    /// Four times the covariance of the component's pixels, given its runs, px². For an ellipse, its
+    /// eigenvalues are the squared semi-axes.
     #[must_use]
     pub fn spread_px2<'a>(&self, runs: impl Iterator<Item = &'a Run>) -> Symmetric<2> {
         let area = i64::from(self.area_px2);
-        // Twice the coordinates about the middle of the bounding box, as in the grey centroid.
+        // Twice the coordinates about the centre of the bounding box, as in the intensity-weighted centroid.
         let (mid_x, mid_y) = self.ends();
         let (mut u, mut v, mut uu, mut uv, mut vv) = (0_i64, 0_i64, 0_i64, 0_i64, 0_i64);
         for run in runs {
@@ -351,7 +353,7 @@ impl Blob {
             vv += y * y * len;
         }
         let per = 1.0 / (area * area) as f64;
-        // A pixel is itself 1/12 px² wide, 1/3 here.
+        // A pixel's own variance is 1/12 px², here times 4.
         let entry = |ab: i64, a: i64, b: i64| (area * ab - a * b) as f64 * per;
         [[entry(uu, u, u) + 1.0 / 3.0, entry(uv, u, v)], [entry(uv, u, v), entry(vv, v, v) + 1.0 / 3.0]]
     }

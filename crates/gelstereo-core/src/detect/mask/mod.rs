@@ -1,4 +1,4 @@
-//! From an image to components: background, threshold, closing, connected components, and which of them are markers.
+//! From an image to marker components: background, threshold, closing, connected components and blob filter.
 
 mod background;
 pub(super) mod bit_rows;

@@ -1,20 +1,21 @@
-//! Dilation and erosion of a mask by an ellipse.
+//! Morphological closing of a mask with an elliptic kernel.
 
 use crate::math::{round_even, sqrt};
 use alloc::vec::Vec;
 
-/// Dilation followed by erosion with one elliptic kernel, the kernel being `cv2.MORPH_ELLIPSE`'s. Pixels beyond the
-/// image count neither way, as in OpenCV.
+/// Dilation followed by erosion with the elliptic kernel of `cv2.MORPH_ELLIPSE`. Pixels beyond the image
+/// are ignored, as in OpenCV.
 #[derive(Clone, Debug)]
 pub struct Closing {
-    /// Half width of the kernel's rows, from its top row down.
+    /// Half width of the kernel's rows, from the top row down.
     half_widths: Vec<usize>,
     dilated: Vec<u8>,
     line: Vec<u8>,
 }
 
 impl Closing {
-    /// For an odd kernel side; 1 changes nothing, an even side counts as the next smaller odd one.
+    /// Creates the closing for an odd kernel side; 1 changes nothing, an even side counts as the next
+    /// smaller odd one.
     #[must_use]
     pub fn new(kernel_px: usize) -> Self {
         let radius = (kernel_px / 2) as isize;
@@ -26,7 +27,7 @@ impl Closing {
         }
     }
 
-    /// Closes `mask`, rows of `width` bytes that are 0 or 255, in place.
+    /// Closes `mask` in place: rows of `width` bytes that are 0 or 255.
     pub fn run(&mut self, mask: &mut [u8], width: usize) {
         if self.half_widths.len() == 1 || width == 0 {
             return;
@@ -39,7 +40,7 @@ impl Closing {
     }
 }
 
-/// Each output pixel is `join` over the kernel around it; `neutral` changes nothing when joined.
+/// Combines the pixels under the kernel with `join`, whose identity element is `neutral`.
 fn sweep(
     from: &[u8],
     to: &mut [u8],

@@ -1,17 +1,17 @@
-//! Noise of an image, from the image.
+//! Noise estimate from a single image.
 
 use crate::image::GrayView;
 use alloc::vec::Vec;
 
-/// Rows that are looked at: some ten thousand pixels of a camera image give the noise to a percent.
+/// Rows sampled: some ten thousand pixels of a camera image give the noise to a percent.
 const SAMPLED_ROWS: usize = 16;
 
-/// Largest value of the mask below: four corners of 1 and the centre's 4, on levels up to 255.
+/// Largest response of the mask below: four corners of 1 and the centre's 4, on levels up to 255.
 const MOST: usize = 8 * 255;
 
-/// Standard deviation of the pixel noise by the mask 1 -2 1 / -2 4 -2 / 1 -2 1, which sees neither slopes nor edges
-/// along rows or columns (Immerkær, "Fast noise variance estimation", CVIU 1996). The median instead of the mean, so
-/// that markers do not count as noise.
+/// Standard deviation of the pixel noise by the mask 1 -2 1 / -2 4 -2 / 1 -2 1, which is blind to slopes
+/// and to edges along rows or columns (Immerkær, "Fast noise variance estimation", CVIU 1996). It uses
+/// the median instead of the mean, so that markers do not count as noise.
 #[derive(Clone, Debug, Default)]
 pub struct NoiseLevel {
     responses: Vec<i16>,
@@ -21,8 +21,8 @@ pub struct NoiseLevel {
 impl NoiseLevel {
     /// Standard deviation, grey levels; 0 for images less than three pixels wide or high.
     ///
-    /// Rounding to whole levels hides noise below about a quarter of a level. Noise that neighbouring pixels share
-    /// (grain, compression) is seen in part only.
+    /// Rounding to whole levels hides noise below about a quarter of a level. Noise correlated between
+    /// neighbouring pixels (grain, compression) is underestimated.
     pub fn sigma_levels(&mut self, image: GrayView<'_>) -> f64 {
         let (width, height) = (image.width(), image.height());
         if width < 3 || height < 3 {
@@ -43,7 +43,7 @@ impl NoiseLevel {
         self.median() / (6.0 * 0.6745)
     }
 
-    /// Median of the magnitudes, taken as spread evenly within half a level of each whole one.
+    /// Median of the magnitudes, each whole level spread evenly over ± half a level.
     fn median(&self) -> f64 {
         let half = 0.5 * f64::from(self.histogram.iter().sum::<u32>());
         let mut below = 0.0;
@@ -58,7 +58,7 @@ impl NoiseLevel {
     }
 }
 
-/// The mask's response along a row, from its second pixel on.
+/// Response of the mask along a row, from the second pixel on.
 fn respond(above: &[u8], here: &[u8], below: &[u8], out: &mut [i16]) {
     let column = |x: usize| i16::from(above[x]) - 2 * i16::from(here[x]) + i16::from(below[x]);
     for (x, out) in out.iter_mut().enumerate() {

@@ -1,4 +1,4 @@
-//! An image in pieces: what differs from its surround, and hangs together.
+//! Segmentation: pixels that differ from the background, as connected components.
 
 use super::background::Difference;
 use super::components::{Components, Most};
@@ -8,10 +8,10 @@ use crate::image::GrayView;
 use crate::params::DetectParams;
 use alloc::vec::Vec;
 
-/// Smaller pieces take no pixels from a marker beside them.
+/// Smaller components do not mask pixels of a marker beside them.
 pub(in crate::detect) const MIN_NEIGHBOUR_PX2: u32 = 3;
 
-/// Background, threshold, closing and components, and their scratch.
+/// Background, threshold, closing and components, with their scratch.
 #[derive(Clone, Debug)]
 pub(in crate::detect) struct Segmentation {
     difference: Difference,
@@ -19,14 +19,14 @@ pub(in crate::detect) struct Segmentation {
     /// Whether closing changes anything.
     closes: bool,
     pub components: Components,
-    /// Of the last image.
+    /// Size of the last image.
     size_px: (usize, usize),
-    /// The whole mask, 0 and 255, or its last row only.
+    /// Whole mask of 0 and 255, or only its last row.
     mask: Vec<u8>,
 }
 
 impl Segmentation {
-    /// With these settings.
+    /// Creates the segmentation from its settings.
     pub fn new(params: &DetectParams) -> Self {
         Self {
             difference: Difference::new(params),
@@ -38,7 +38,7 @@ impl Segmentation {
         }
     }
 
-    /// Finds the components. Only closing needs the mask as an image.
+    /// Finds the components. The whole mask is stored only if closing is on.
     ///
     /// # Errors
     /// [`DetectError::TooMany`].
@@ -60,7 +60,7 @@ impl Segmentation {
                 self.difference.row(image, y, &mut self.mask);
                 self.components.push(&self.mask);
             }
-            // Joins below may still make fewer pieces; an image of markers never comes near.
+            // Rows below could still join components, but an image of markers never comes near the limit.
             let counts =
                 [(self.components.all_runs().len(), most.runs), (self.components.pieces(), most.components)];
             if let Some((found, most)) = counts.into_iter().find(|(found, most)| found > most) {
@@ -77,7 +77,7 @@ impl Segmentation {
         self.difference.thresholds().feels_noise()
     }
 
-    /// Makes the mask of the whole image, without components.
+    /// Computes the mask of the whole image, without components.
     pub fn mask_all(&mut self, image: GrayView<'_>) {
         self.difference.survey(image);
         let width = image.width();
@@ -88,12 +88,12 @@ impl Segmentation {
         self.closing.run(&mut self.mask, width);
     }
 
-    /// The mask that [`Self::mask_all`] made.
+    /// The mask computed by [`Self::mask_all`].
     pub fn mask(&self) -> &[u8] {
         &self.mask
     }
 
-    /// The components, and the mask of them all in room that is free until the next image.
+    /// The components and their mask, in a buffer that is free until the next image.
     pub fn draw(&mut self) -> (&Components, &[u8]) {
         let Self { difference, components, size_px, .. } = self;
         let mask = difference.spare();
@@ -101,8 +101,8 @@ impl Segmentation {
         (components, mask)
     }
 
-    /// Writes the mask of the components, each of whose pixels is a square of `scale` x `scale` pixels of an image of a
-    /// size: 255 where a pixel belongs to one, row by row.
+    /// Writes the mask of the components for an image of this size, row by row: 255 where a pixel belongs
+    /// to one. Each component pixel covers `scale` x `scale` image pixels.
     pub fn draw_scaled(&self, size_px: (usize, usize), scale: usize, out: &mut Vec<u8>) {
         fill_mask(&self.components, size_px, scale, out);
     }

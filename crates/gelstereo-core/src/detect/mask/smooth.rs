@@ -1,17 +1,17 @@
-//! Smoothing to whole grey levels, dark markers on a bright gel whatever the polarity.
+//! Smoothing to whole grey levels. Output is dark markers on a bright gel for both polarities.
 
 use super::blur::{FRACTION_BITS, GaussianBlur, reflect101};
 use crate::image::GrayView;
 use crate::params::Polarity;
 use alloc::vec::Vec;
 
-/// Smooths single rows of an image and inverts them where markers are bright.
+/// Smooths single rows of an image and inverts them if markers are bright.
 #[derive(Clone, Debug)]
 pub struct Smoother {
     kernel: Kernel,
-    /// 255 inverts.
+    /// XOR mask; 255 inverts.
     flip: u8,
-    /// Standard deviation that white noise of unit variance keeps.
+    /// Standard deviation of filtered white noise of unit variance.
     noise_gain: f64,
 }
 
@@ -23,7 +23,7 @@ enum Kernel {
 }
 
 impl Smoother {
-    /// For an odd kernel side; 3 is the binomial kernel, 1 leaves the image as it is.
+    /// Creates the smoother for an odd kernel side; 3 is the binomial kernel, 1 leaves the image unchanged.
     #[must_use]
     pub fn new(kernel_px: usize, polarity: Polarity) -> Self {
         let blur = GaussianBlur::new(kernel_px);
@@ -36,7 +36,7 @@ impl Smoother {
         Self { kernel, flip: if polarity == Polarity::Bright { u8::MAX } else { 0 }, noise_gain }
     }
 
-    /// Standard deviation that white noise of unit variance keeps.
+    /// Standard deviation of filtered white noise of unit variance.
     #[must_use]
     pub const fn noise_gain(&self) -> f64 {
         self.noise_gain
@@ -64,8 +64,9 @@ impl Smoother {
     }
 }
 
-/// Weights 1 2 1 down and across, mirrored at the borders: the mean of the outer two, rounded down, and of that and
-/// the middle one, rounded up. On the average both roundings together add an eighth of a level in each direction.
+/// Binomial kernel 1 2 1 in both directions, mirrored at the borders. The mean of the outer two is
+/// rounded down, its mean with the middle one rounded up. On average both roundings add an eighth of a
+/// level per direction.
 fn binomial_row(image: GrayView<'_>, y: usize, flip: u8, columns: &mut Vec<u8>, out: &mut [u8]) {
     let (width, height) = (image.width(), image.height());
     let row = |dy: isize| image.row(reflect101(y as isize + dy, height));
@@ -76,7 +77,7 @@ fn binomial_row(image: GrayView<'_>, y: usize, flip: u8, columns: &mut Vec<u8>, 
     average(&columns[..width], &columns[1..=width], &columns[2..], 0, out);
 }
 
-/// (a + 2 b + c) / 4 of the inverted or plain levels. Means of two bytes are single instructions.
+/// (a + 2 b + c) / 4 of the inverted or plain levels. The mean of two bytes is a single instruction.
 #[inline(never)]
 fn average(a: &[u8], b: &[u8], c: &[u8], flip: u8, out: &mut [u8]) {
     let up = |a: u8, b: u8| ((u16::from(a) + u16::from(b) + 1) >> 1) as u8;

@@ -1,52 +1,54 @@
-//! How much darker than its surround a pixel of a marker is: a setting, or half the markers' contrast around it.
+//! Threshold for the difference to the background: a setting, or about half the local marker contrast.
 
 use super::blocks::{BLOCK_PX, Blocks, BoxSums};
 use super::blur::FRACTION_BITS;
 use super::walls::Walls;
 use alloc::vec::Vec;
 
-/// Least threshold that is ever derived, grey levels: below, the camera's rounding and compression show.
+/// Least derived threshold, grey levels; below it, camera rounding and compression become visible.
 pub const MIN_LEVELS: u8 = 3;
 
-/// Of the contrast between a marker's darkest pixel and its surround. The surround is the mean of gel and markers, so
-/// that this is somewhat more than half way from the gel to the marker.
+/// Threshold as a share of the contrast between a marker's darkest pixel and the background. The background
+/// is the mean of gel and markers, so this is somewhat more than half way from the gel to the marker.
 const SHARE: f64 = 0.45;
 
-/// The contrast around a block counts as at least this share of the whole image's.
+/// Least contrast around a block, as a share of the whole image's.
 const MIN_SHARE_OF_IMAGE: f64 = 0.6;
 
-/// Below this share of the whole image's contrast no marker is near: what is seen there is grain and light. The surround
-/// is then all gel, and a marker that stood there alone would show with the whole image's contrast.
+/// Below this share of the whole image's contrast no marker is near; the contrast is grain and light. The
+/// background is then gel only, and a single marker there would have the whole image's contrast.
 const NO_MARKER: f64 = 0.35;
 
-/// Share of the whole image's contrast that is asked for where no marker is near.
+/// Threshold where no marker is near, as a share of the whole image's contrast.
 const SHARE_ALONE: f64 = 0.6;
 
-/// Standard deviations of the smoothed image's noise: one pixel in 3 million of a blank image.
+/// In standard deviations of the smoothed image's noise: one false pixel in 3 million of a blank image.
 const NOISE_SIGMAS: f64 = 5.0;
 
-/// How far beyond the surround's square contrasts are averaged, blocks on each side.
+/// Margin around the background's square over which contrasts are averaged, blocks on each side.
 const WIDER_BLOCKS: usize = 2;
 
-/// Surrounds that differ by less than this share of the whole image's contrast have no wall that hides markers. With a wall in
-/// view, the whole image's contrast is up to 0.7 of its height.
+/// If the backgrounds span less than this multiple of the whole image's contrast, no wall hides markers.
+/// With a wall in view, the whole image's contrast is up to 0.7 of its height.
 const UNEVEN: f64 = 1.2;
 
-/// Nor have those that differ by less than so many times the markers' contrast: half a wall's height is missing from the surround
-/// of what stands beside it, and half the markers' contrast is left then. (Drawn trays, contrasts of 25 to 110 levels: all is found
-/// up to 1.9, and from 2.6 on 0.5 to 100 % are missed.)
+/// The same holds below this multiple of the markers' contrast. Beside a wall, the background lacks half
+/// the wall's height, which leaves half the markers' contrast. (Simulated trays, contrasts of 25 to 110
+/// levels: all markers are found up to 1.9; from 2.6 on 0.5 to 100 % are missed.)
 const WALL: f64 = 2.0;
 
-/// Contrasts beyond so many times those of what has gel on two sides are not the markers'.
+/// Contrasts beyond this multiple of the contrast of spots with gel on two opposite sides are not the
+/// markers'.
 const NOT_MARKERS: f64 = 1.5;
 
-/// A surround that lacks this share of the markers' contrast has something darker than gel and markers in it.
+/// A background that lacks this share of the markers' contrast contains something darker than gel and
+/// markers.
 const MISSING: f64 = 0.15;
 
 /// Fractional bits of contrasts: their cubes leave room for 2^30 blocks in 64 bits.
 const DEPTH_BITS: u32 = 3;
 
-/// Depths of an image's blocks, from which the contrast of its markers follows.
+/// Contrasts (depths) of an image's blocks, from which the markers' contrast follows.
 #[derive(Clone, Debug, Default)]
 struct Contrasts {
     depths: Vec<u16>,
@@ -55,14 +57,14 @@ struct Contrasts {
 }
 
 impl Contrasts {
-    /// Takes the depths of all blocks with [`DEPTH_BITS`]; the contrast of the whole image.
+    /// Stores the depths of all blocks with [`DEPTH_BITS`] and returns the contrast of the whole image.
     fn take(&mut self, depths: impl Iterator<Item = u16>) -> f64 {
         self.depths.clear();
         self.depths.extend(depths);
         contrast(self.depths.iter().copied())
     }
 
-    /// The contrast around each block.
+    /// Contrast around each block.
     fn around(&mut self, cols: usize, radius: usize) -> impl Iterator<Item = f64> {
         let squares = self.square_sums.run(&self.depths, square, cols, radius);
         let cubes = self.cube_sums.run(&self.depths, cube, cols, radius);
@@ -78,19 +80,19 @@ fn cube(depth: u16) -> u64 {
     u64::from(depth).pow(3)
 }
 
-/// The contrast of blocks with these depths, which have [`DEPTH_BITS`].
+/// Contrast of blocks with these depths, which have [`DEPTH_BITS`].
 fn contrast(depths: impl Iterator<Item = u16>) -> f64 {
     let (squares, cubes) = depths.fold((0, 0), |(squares, cubes), d| (squares + square(d), cubes + cube(d)));
     mean(cubes, squares)
 }
 
-/// Mean of depths, each weighted by its square. As signed numbers, which processors turn into floating point at once; sums stay
-/// far below 2^63.
+/// Mean of depths, each weighted by its square. Signed, since processors convert those to floating point
+/// directly; sums stay far below 2^63.
 fn mean(cubes: u64, squares: u64) -> f64 {
     cubes as i64 as f64 / (squares.max(1) as i64 as f64 * f64::from(1_u32 << DEPTH_BITS))
 }
 
-/// The threshold of every block.
+/// Threshold of every block.
 #[derive(Clone, Debug, Default)]
 pub struct Thresholds {
     /// With [`FRACTION_BITS`].
@@ -99,12 +101,12 @@ pub struct Thresholds {
     feels_noise: bool,
     contrasts: Contrasts,
     walls: Walls,
-    /// Contrasts around the blocks, walls and all.
+    /// Contrasts around the blocks, walls included.
     near: Vec<f64>,
 }
 
 impl Thresholds {
-    /// The same for all blocks of an image.
+    /// Sets the same threshold for all blocks of an image.
     pub fn set_all(&mut self, levels: u8, width: usize, height: usize) {
         self.cols = width.div_ceil(BLOCK_PX);
         self.feels_noise = false;
@@ -112,11 +114,11 @@ impl Thresholds {
         self.levels.resize(self.cols * height.div_ceil(BLOCK_PX), u16::from(levels) << FRACTION_BITS);
     }
 
-    /// From the contrasts of an image whose surrounds are means over `radius` blocks, and from its noise after
-    /// smoothing. Surrounds that hold something else than gel and markers are mended.
+    /// Derives the thresholds from the image's contrasts and its noise after smoothing. Backgrounds are
+    /// means over `radius` blocks; those that include something other than gel and markers are corrected.
     ///
-    /// The markers' contrast near a block is the mean of the blocks' depths, each weighted by its square: blocks
-    /// without a marker have depths of a few times the noise and carry no weight beside the others.
+    /// The markers' contrast near a block is the mean of the blocks' depths, each weighted by its square.
+    /// Blocks without a marker have depths of a few times the noise, so their weight is negligible.
     pub fn derive(&mut self, blocks: &mut Blocks, radius: usize, noise_levels: f64) {
         self.cols = blocks.cols();
         self.near.clear();
@@ -164,14 +166,14 @@ impl Thresholds {
                     *surround = gel;
                     threshold(spots, whole, floor)
                 }
-                // No better surround is known: the threshold stays that by all contrasts, walls included.
+                // No better background is known: keep the threshold from all contrasts, walls included.
                 None if is_wall => threshold(near, with_walls, floor),
                 None => threshold(near, whole, floor),
             });
         }
     }
 
-    /// Whether noise may raise some thresholds above what the markers' contrast asks for.
+    /// Whether noise may raise some thresholds above those by the markers' contrast.
     #[must_use]
     pub const fn feels_noise(&self) -> bool {
         self.feels_noise
@@ -190,14 +192,15 @@ impl Thresholds {
     }
 }
 
-/// From the darkest to the brightest, grey levels.
+/// Range from the darkest to the brightest background, grey levels.
 fn span_levels(surround: &[u16]) -> f64 {
     let (low, high) =
         surround.iter().fold((u16::MAX, 0), |(low, high), &level| (low.min(level), high.max(level)));
     f64::from(high.saturating_sub(low)) / f64::from(1_u32 << FRACTION_BITS)
 }
 
-/// By the contrast near a block, that of the whole image, and the least that noise allows, with [`FRACTION_BITS`].
+/// Threshold with [`FRACTION_BITS`], from the contrast near a block, the whole image's contrast and the
+/// noise floor.
 fn threshold(near: f64, whole: f64, floor: f64) -> u16 {
     let levels = if near < NO_MARKER * whole {
         SHARE_ALONE * whole

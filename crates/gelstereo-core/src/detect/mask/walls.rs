@@ -1,26 +1,28 @@
-//! The markers' contrast beside something that is no gel: a tray's wall, a frame, a light's reflection.
+//! Marker contrast beside something that is not gel: a tray's wall, a frame, a light's reflection.
 //!
-//! A mean over gel and tray is neither's level, and the depth of a wall below it is no marker's contrast. A marker has gel on two
-//! opposite sides in every direction; a wall has it on one side, or along itself alone.
+//! A mean over gel and tray is the level of neither, and a wall's depth below it is not a marker's
+//! contrast. A marker has gel on two opposite sides in every direction; a wall has it on one side, or
+//! along itself only.
 
 use super::blocks::Blocks;
 use super::blur::FRACTION_BITS;
 use alloc::vec::Vec;
 
-/// Blocks belong to the same gel, or to a marker on it, as long as their means differ by less than this share of the contrast.
+/// Blocks belong to the same gel, or to a marker on it, if their means differ by less than this share of
+/// the contrast.
 const SAME_GEL: f64 = 1.25;
 
-/// Share of the blocks around one that belong to the same gel at least, beside a wall.
+/// Least share of the surrounding blocks that must belong to the same gel, beside a wall.
 const MIN_SAME: f64 = 0.4;
 
-/// Mean level of a block, in grey levels, above which it is a reflection and not gel. Reflections saturate at 255; one value was
-/// tried.
+/// Mean level of a block, grey levels, above which it is a reflection and not gel. Reflections saturate
+/// at 255; one value was tried.
 const BRIGHTEST_GEL: u16 = 230;
 
 /// Half of the directions to opposite blocks.
 const DIRECTIONS: [(isize, usize); 4] = [(1, 0), (0, 1), (1, 1), (-1, 1)];
 
-/// The gel's level at every block by opposite blocks, with [`FRACTION_BITS`].
+/// The gel's level at every block, estimated from opposite blocks, with [`FRACTION_BITS`].
 #[derive(Clone, Debug, Default)]
 pub(in crate::detect) struct Walls {
     gel: Vec<u16>,
@@ -29,7 +31,7 @@ pub(in crate::detect) struct Walls {
 }
 
 impl Walls {
-    /// Makes room for so many blocks.
+    /// Reserves memory for this many blocks.
     pub fn reserve(&mut self, blocks: usize) {
         for levels in [&mut self.gel, &mut self.sides] {
             levels.clear();
@@ -37,7 +39,7 @@ impl Walls {
         }
     }
 
-    /// Looks at an image's blocks, whose surrounds are means over `radius` blocks.
+    /// Estimates the gel's level of an image whose backgrounds are means over `radius` blocks.
     pub fn look(&mut self, blocks: &Blocks, radius: usize) {
         let (Self { gel, sides }, means) = (self, blocks.means());
         gel.clear();
@@ -52,19 +54,19 @@ impl Walls {
             let known = sides.iter().map(|&level| if level > 0 { level } else { u16::MAX });
             gel.iter_mut().zip(known).for_each(|(gel, level)| *gel = level.min(*gel));
         }
-        // The corners have none.
+        // Blocks in the corners have none at all.
         gel.iter_mut().filter(|level| **level == u16::MAX).for_each(|level| *level = 0);
     }
 
-    /// How much darker than the gel on all its sides each block's darkest pixel is, in 1 / 2^`bits` grey levels.
+    /// Contrast of each block's darkest pixel to the gel on all its sides, in 1 / 2^`bits` grey levels.
     pub fn depths(&self, blocks: &Blocks, bits: u32) -> impl Iterator<Item = u16> {
         self.gel.iter().zip(blocks.darkest()).map(move |(&gel, &darkest)| {
             gel.saturating_sub(u16::from(darkest) << FRACTION_BITS) >> (FRACTION_BITS - bits)
         })
     }
 
-    /// Mean over those blocks of rows of `cols`, up to `radius` around one, that belong to the same gel, if markers have this
-    /// contrast there, grey levels; `None` where only few do, as on a reflection.
+    /// Mean over the blocks within `radius` of one, in rows of `cols`, that belong to the same gel, given
+    /// the markers' contrast there in grey levels. `None` if too few do or if it is a reflection.
     pub fn surround(
         &self,
         means: &[u16],
@@ -91,14 +93,14 @@ impl Walls {
     }
 }
 
-/// Raises `sides` to the darker of the blocks `by` columns and rows before and behind each.
+/// Raises `sides` to the darker of the two opposite blocks at offset ±(`dx`, `dy`).
 fn brighten(means: &[u16], cols: usize, (dx, dy): (isize, usize), sides: &mut [u16]) {
     let (rows, wide) = (means.len() / cols.max(1), dx.unsigned_abs());
     if cols <= 2 * wide || rows <= 2 * dy {
         return;
     }
     let inner = cols - 2 * wide;
-    // Of the row above, the first column that stands before the first inner one, and of the row below the one behind it.
+    // First column read in the row above, and in the row below: opposite sides of the first inner column.
     let (before, behind) = if dx < 0 { (2 * wide, 0) } else { (0, 2 * wide) };
     for y in dy..rows - dy {
         let above = &means[(y - dy) * cols + before..][..inner];

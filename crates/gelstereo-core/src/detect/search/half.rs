@@ -1,9 +1,10 @@
-//! Markers found in the image at half its size, where that shows them all clearly, and centred at its own size.
+//! Markers detected at half resolution if that is unambiguous, and centred at full resolution.
 //!
-//! The mean of 2 x 2 pixels halves the noise, as smoothing would, and leaves a quarter of the pixels to look at. What it hides
-//! is small: gaps of two pixels, and what stands within two pixels of the border. The image is searched at its own size, as if it had
-//! not been looked at, unless each component is a marker to [`SizedClassifier::single`], or a speck, and thresholds are shares of the
-//! markers' contrast, the same at both sizes.
+//! The mean of 2 x 2 pixels halves the noise, as smoothing would, and leaves a quarter of the pixels. It
+//! hides only gaps of two pixels and structures within two pixels of the border. Half resolution is used
+//! only if every component is a marker to [`SizedClassifier::single`] or a speck, and if thresholds are
+//! shares of the markers' contrast, the same at both resolutions. Otherwise the image is searched at full
+//! resolution from scratch.
 
 use crate::detect::centre::soft_threshold::SoftThreshold;
 use crate::detect::markers::Markers;
@@ -17,23 +18,23 @@ use crate::math::DVec2;
 use crate::params::{Centre, DetectParams, FindAt};
 use alloc::vec::Vec;
 
-/// Pixels of the image to one of half its size, in each direction.
+/// Image pixels per half-resolution pixel, in each direction.
 pub(in crate::detect) const SCALE: usize = 2;
 
 const PIXELS: u32 = (SCALE * SCALE) as u32;
 
-/// Least usual area, pixels of half the size: a disc of so many covers 4 to 7 of them wherever it lies, neither a speck beside
-/// the others nor two of them.
+/// Least usual area, half-resolution pixels. A disc of this area covers 4 to 7 of them at any position, so
+/// it is mistaken neither for a speck nor for two markers.
 const MIN_PX2: f64 = 6.0;
 
-/// The image's middle is so many times smaller in each direction.
+/// Ratio of the image's size to that of its central part, in each direction.
 const MIDDLE: usize = 8;
 
-/// Shares of the usual area between which a component is a marker: those of the filter with room for areas that are known to a
-/// pixel of half the size.
+/// Range of marker areas as shares of the usual one: that of the blob filter, with a margin since areas are
+/// known to one half-resolution pixel.
 const MARKER: core::ops::RangeInclusive<f64> = 2.0 / 3.0..=1.5;
 
-/// An image at half its size, and its components.
+/// Half-resolution image and its components.
 #[derive(Clone, Debug)]
 struct Halved {
     levels: Vec<u8>,
@@ -45,7 +46,7 @@ impl Halved {
         Self { levels: Vec::new(), segmentation: Segmentation::new(params) }
     }
 
-    /// What the markers are like; `None` when there are too many components.
+    /// Blob filter of the markers; `None` if there are too many components.
     fn search(
         &mut self,
         image: GrayView<'_>,
@@ -59,9 +60,9 @@ impl Halved {
         Some(BlobFilter::of(self.segmentation.components.blobs(), params, size_px, areas_px2).0)
     }
 
-    /// Whether all of some components are markers that lie whole in the image, or specks.
+    /// Whether all selected components are specks, or markers that lie entirely in the image.
     fn is_clear(&self, filter: &BlobFilter, params: &DetectParams, counts: impl Fn(&Blob) -> bool) -> bool {
-        // Areas of the least marker, and of the largest component that is none.
+        // Areas of the smallest marker, and of the largest component that is not a marker.
         let (mut least_px2, mut largest_px2) = (u32::MAX, None);
         for blob in self.segmentation.components.blobs().iter().filter(|blob| counts(blob)) {
             let share = f64::from(blob.area_px2) / filter.usual_px2;
@@ -71,8 +72,8 @@ impl Halved {
                 largest_px2 = largest_px2.max(Some(blob.area_px2));
             }
         }
-        // A speck at any size: too small beside the least marker, which may be the usual one there. There is room for what a disc
-        // covers: a pixel less where it is a marker, two more where it is a speck.
+        // A speck must be too small at any resolution, even if the smallest marker were the usual one.
+        // The margin covers a disc's pixel count: one less for a marker, two more for a speck.
         let least_px2 = if least_px2 == u32::MAX { 0 } else { least_px2 };
         let (speck_px2, _) = area_range_px2(params.threshold, f64::from(least_px2.saturating_sub(1)));
         filter.usual_px2 >= MIN_PX2
@@ -81,20 +82,20 @@ impl Halved {
     }
 }
 
-/// The search at half size.
+/// The half-resolution search.
 #[derive(Clone, Debug)]
 pub(in crate::detect) struct HalfSize {
-    /// As for images of that size.
+    /// Settings scaled to half resolution.
     params: DetectParams,
     whole: Halved,
     middle: Halved,
-    /// Whether it showed all that there is in the last image.
+    /// Whether the last image was searched at half resolution only.
     is_complete: bool,
 }
 
 impl HalfSize {
-    /// `None` for settings that want every image searched at its own size: only the band's centres owe nothing to the outline
-    /// of a component.
+    /// `None` if the settings require full resolution. Only the soft-threshold centroid
+    /// ([`Centre::Band`]) is independent of a component's outline.
     pub fn new(params: &DetectParams) -> Option<Self> {
         let wanted = params.find_at == FindAt::HalfSize && params.centre == Centre::Band;
         let half_kernel = |side_px: usize| (side_px / SCALE) | 1;
@@ -110,21 +111,20 @@ impl HalfSize {
         wanted.then_some(Self { params, whole, middle, is_complete: false })
     }
 
-    /// What the last image fell into, where that showed all that there was.
+    /// Segmentation of the last image, if half resolution was sufficient.
     pub fn complete(&self) -> Option<&Segmentation> {
         self.is_complete.then_some(&self.whole.segmentation)
     }
 
-    /// Makes room for images like this one, whether they are clear or not.
+    /// Reserves memory for images of this size.
     pub fn reserve(&mut self, image: GrayView<'_>, areas_px2: &mut Vec<u32>) {
-        // Whether it has too many components its search will tell.
+        // Too many components is reported by the search itself.
         let _ = self.whole.search(image, &self.params, areas_px2);
         let _ = self.is_unclear_amid(image, areas_px2);
     }
 
-    /// Whether the middle of the image shows something unclear: that costs little to see, and the search of the whole in vain
-    /// much. Nothing is remembered of the image before: centres found at one size and the other differ in their last bits,
-    /// which must not depend on what was seen earlier.
+    /// Whether the image's central part is ambiguous: a cheap check that avoids a futile search of the whole.
+    /// It depends on no earlier image, since centres found at the two resolutions differ in their last bits.
     fn is_unclear_amid(&mut self, image: GrayView<'_>, areas_px2: &mut Vec<u32>) -> bool {
         let (width, height) = (image.width() / MIDDLE, image.height() / MIDDLE);
         let middle = image.crop((image.width() - width) / 2, (image.height() - height) / 2, width, height);
@@ -139,13 +139,13 @@ impl HalfSize {
         if components.blobs().iter().any(is_whole) {
             !self.middle.is_clear(&filter, &self.params, is_whole)
         } else {
-            // Specks only, or markers that hang together.
+            // Specks only, or connected markers.
             components.pieces() > components.blobs().len() || components.blobs().iter().any(goes_through)
         }
     }
 
-    /// Finds the markers at half the image's size, if that shows all that there is; else `out` stays empty. It has room for
-    /// so many.
+    /// Finds the markers at half resolution if that is sufficient; otherwise `out` stays empty. `out` has
+    /// room for `max_markers`.
     pub fn run(
         &mut self,
         image: GrayView<'_>,
@@ -165,8 +165,8 @@ impl HalfSize {
         self.is_complete
     }
 
-    /// Lists markers of one size, if all components are markers that lie whole in the image and show at a glance, or
-    /// specks.
+    /// Appends markers of one size, if all components are specks or whole markers that pass the window
+    /// classifier.
     fn take_clear(
         &mut self,
         image: GrayView<'_>,
@@ -183,7 +183,7 @@ impl HalfSize {
             return None;
         }
         let blobs = || whole.segmentation.components.blobs().iter().filter(|blob| filter.passes_whole(blob));
-        // Their mean: a single area at half size is known to a few pixels.
+        // Mean area: a single area at half resolution is known to a few pixels.
         let (count, sum) = blobs().fold((0_u32, 0), |(n, sum), blob| (n + 1, sum + PIXELS * blob.area_px2));
         let size = MarkerSize::of(f64::from(sum) / f64::from(count))?;
         let classifier = SizedClassifier::new(size, params.polarity);
@@ -194,7 +194,8 @@ impl HalfSize {
     }
 }
 
-/// The place in the image of one at half its size, whose first pixel covers the columns and rows 0 and 1.
+/// Converts a half-resolution position to full resolution; the first half-resolution pixel covers columns
+/// and rows 0 and 1.
 fn full_size(half_px: DVec2) -> DVec2 {
     SCALE as f64 * half_px + 0.5
 }
@@ -208,7 +209,7 @@ fn halve(image: GrayView<'_>, out: &mut Vec<u8>) {
     }
 }
 
-/// Of two rows. Pairs of levels as numbers of 16 bits: there are instructions for eight of them.
+/// Averages two rows. Pairs of levels are read as 16-bit numbers: there are instructions for eight of them.
 #[inline(never)]
 fn halve_rows(above: &[[u8; SCALE]], below: &[[u8; SCALE]], out: &mut [u8]) {
     let sum = |&pair: &[u8; SCALE]| {

@@ -1,4 +1,4 @@
-//! Markers near expected positions, by windows of the whole image's mask.
+//! Markers near expected positions, from windows of the whole image's mask.
 
 use crate::detect::centre::weighted::WeightedCentroid;
 use crate::detect::centre::{CentreRung, MaskedMarker, MaskedMarkers};
@@ -11,26 +11,26 @@ use crate::math::DVec2;
 use crate::params::DetectParams;
 use alloc::vec::Vec;
 
-/// Whole pieces of one window that are kept; a window with more is not clear anyway.
+/// Whole components kept per window; a window with more is ambiguous anyway.
 const MAX_CANDIDATES: usize = 4;
 
-/// Whole pieces of all windows that are kept, for each window: one is the rule.
+/// Whole components kept, on average per window; usually there is one.
 const MAX_ON_AVERAGE: usize = 2;
 
-/// The search, and its scratch.
+/// The search and its scratch.
 #[derive(Clone, Debug)]
 pub(in crate::detect) struct MaskedSearch {
     params: DetectParams,
     weighted: WeightedCentroid,
     pieces: Pieces,
-    /// Whole pieces in the windows of the positions.
+    /// Whole components in the windows of the positions.
     candidates: Vec<MaskedMarker>,
     areas_px2: Vec<u32>,
     most_candidates: usize,
 }
 
 impl MaskedSearch {
-    /// With these settings.
+    /// Creates the search from its settings.
     pub fn new(params: &DetectParams) -> Self {
         Self {
             params: params.clone(),
@@ -51,7 +51,7 @@ impl MaskedSearch {
         self.areas_px2.reserve(self.most_candidates);
     }
 
-    /// Finds the markers within `reach_px` of the positions in an image of this mask; `out` is empty.
+    /// Finds the markers within `reach_px` of the positions in an image with this mask; `out` is empty.
     pub fn run(
         &mut self,
         (image, mask): (GrayView<'_>, &[u8]),
@@ -89,7 +89,7 @@ impl MaskedSearch {
         rung.refine_masked(&found, &mut weighted_centroid, &mut out.markers);
     }
 
-    /// Adds the window's whole pieces to the candidates; `Unclear` if there are others that matter.
+    /// Adds the window's whole components to the candidates; `Unclear` if there are other significant ones.
     fn look(
         &mut self,
         (image, mask): (GrayView<'_>, &[u8]),
@@ -124,7 +124,7 @@ impl MaskedSearch {
         sight
     }
 
-    /// Gives each position its only candidate, and each candidate to the nearest position only.
+    /// Assigns each position its only candidate, and each candidate only to the nearest position.
     fn decide(&mut self, expected_px: &[DVec2], out: &mut Found) {
         let Self { candidates, areas_px2, .. } = self;
         areas_px2.clear();
@@ -134,7 +134,7 @@ impl MaskedSearch {
             out.sights[candidate.position as usize] = WindowObservation::Unclear;
         }
         candidates.retain(|c| (least_px2..=most_px2).contains(&c.area_px2));
-        // Several in one window: none. They stand in the order of the positions.
+        // Positions with several candidates get none. Candidates are in the order of the positions.
         let mut previous = None;
         for c in candidates.iter() {
             if previous.replace(c.position) == Some(c.position) {
@@ -163,7 +163,7 @@ impl MaskedSearch {
     }
 }
 
-/// Takes the pieces of a window of a mask of this width.
+/// Loads a window of a mask of this width.
 fn load(pieces: &mut Pieces, mask: &[u8], width: usize, window: &Window) {
     pieces.start();
     for y in window.first.1..window.end.1 {

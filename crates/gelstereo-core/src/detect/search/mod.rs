@@ -1,4 +1,4 @@
-//! Ways to search an image: whole, at half its size, and near expected positions.
+//! Ways to search an image: whole, at half resolution, and near expected positions.
 
 pub(super) mod half;
 pub(super) mod masked;

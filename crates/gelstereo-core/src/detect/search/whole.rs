@@ -1,4 +1,4 @@
-//! Markers found at the image's own size.
+//! Markers found at full resolution.
 
 use crate::detect::centre::{CentreRung, Components};
 use crate::detect::error::DetectError;

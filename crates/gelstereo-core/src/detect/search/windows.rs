@@ -1,4 +1,4 @@
-//! Markers near predicted positions, each by a window of its own: the rest of the image is not read.
+//! Markers near predicted positions, each from its own window; the rest of the image is not read.
 
 use crate::detect::centre::CentreRung;
 use crate::detect::centre::covered;
@@ -15,19 +15,17 @@ use crate::math::DVec2;
 use crate::params::DetectParams;
 use alloc::vec::Vec;
 
-/// Windows from which an image's usual contrast is taken, spread evenly over the positions.
+/// Number of windows that give the image's usual contrast, spread evenly over the positions.
 const SAMPLES: usize = 64;
 
-/// Of all pixels of a window, this share is not brighter than the gel: where gel is seen at all, half of the
-/// rest.
+/// Quantile of a window's levels that is taken as gel: the gel's median if gel fills half of the window.
 const GEL_SHARE: f64 = 0.75;
 
-/// Share of the contrast at which pieces are outlined; and of the usual contrast, the least contrast they
-/// have.
+/// Contrast share at which components are outlined, and their least contrast as a share of the usual one.
 const SHARE: f64 = 0.5;
 const MIN_OF_USUAL: f64 = 0.45;
 
-/// A marker that a window shows.
+/// Marker found in a window.
 #[derive(Clone, Copy, Debug)]
 struct Seen {
     position: u32,
@@ -37,7 +35,7 @@ struct Seen {
     alive: bool,
 }
 
-/// The search, and its scratch.
+/// The search and its scratch.
 #[derive(Clone, Debug)]
 pub(in crate::detect) struct WindowSearch {
     params: DetectParams,
@@ -45,12 +43,12 @@ pub(in crate::detect) struct WindowSearch {
     seen: Vec<Seen>,
     pieces: Pieces,
     mask: Vec<u8>,
-    /// The last marker seen with its centre in each cell, plus 1; there are fewer than 65 535.
+    /// Index of the last marker with its centre in each cell, plus 1; there are fewer than 65 535.
     cells: Vec<u16>,
 }
 
 impl WindowSearch {
-    /// With these settings.
+    /// Creates the search from its settings.
     pub fn new(params: &DetectParams) -> Self {
         Self {
             params: params.clone(),
@@ -62,7 +60,7 @@ impl WindowSearch {
         }
     }
 
-    /// Makes room for so many positions in an image of this size.
+    /// Reserves memory for this many positions in an image of this size.
     pub fn reserve(&mut self, positions: usize, size: &MarkerSize, (width, height): (usize, usize)) {
         self.seen.clear();
         self.seen.reserve(positions);
@@ -77,8 +75,8 @@ impl WindowSearch {
 
     /// Finds the markers within `reach_px` of the positions; `out` is empty, with room for all.
     ///
-    /// Most windows show one marker or nothing at a glance. What they do not is searched again as pieces of the square
-    /// within reach, by the light in that square.
+    /// The window classifier decides most windows: one marker or nothing. The others are segmented:
+    /// components of the square within reach, with a threshold from that square.
     pub fn run(
         &mut self,
         image: GrayView<'_>,
@@ -140,7 +138,7 @@ impl WindowSearch {
         });
     }
 
-    /// Searches the square within reach for pieces.
+    /// Searches the square within reach for components.
     fn look_closer<const L: usize>(
         &mut self,
         classifier: &WindowClassifier<L>,
@@ -187,7 +185,7 @@ impl WindowSearch {
         sight
     }
 
-    /// Gives each marker to the nearest of the positions that see it.
+    /// Assigns each marker to the nearest of the positions whose windows show it.
     fn share_out(
         &mut self,
         image: GrayView<'_>,
@@ -207,7 +205,7 @@ impl WindowSearch {
         for n in 0..seen.len() {
             let centre_px = seen[n].centre_px;
             let far = |seen: &Seen| seen.centre_px.distance_squared(expected_px[seen.position as usize]);
-            // Cells begin one before the image, so that there is one on every side.
+            // Cells begin one before the image, so that each has neighbours on every side.
             let first = (centre_px.y * per_px) as usize * cols + (centre_px.x * per_px) as usize;
             let middle = first + cols + 1;
             'around: for row in [first, first + cols, first + 2 * cols] {
@@ -228,7 +226,7 @@ impl WindowSearch {
                 }
             }
             if seen[n].alive {
-                // More positions than that no image has: such a marker may then be given twice.
+                // No image has more positions than that; a marker beyond could be assigned twice.
                 cells[middle] = u16::try_from(n + 1).unwrap_or(0);
             }
         }
@@ -243,8 +241,8 @@ impl WindowSearch {
     }
 }
 
-/// Level below which pixels of a square are darker than half way from its gel to its darkest; `None` where
-/// nothing is as dark as a marker of an image with this usual contrast.
+/// Threshold half way from a square's gel to its darkest pixel. `None` if nothing is as dark as a marker
+/// of an image with this usual contrast.
 fn outline_level(levels: impl Iterator<Item = u8> + Clone, usual: f64) -> Option<u8> {
     let mut histogram = [0_u32; 256];
     levels.for_each(|level| histogram[usize::from(level)] += 1);

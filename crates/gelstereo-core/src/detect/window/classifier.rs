@@ -1,7 +1,8 @@
-//! What a small window around an expected position shows, at a glance: one marker, nothing, or something else.
+//! Window classifier: whether a small window around an expected position shows one marker, gel or
+//! something else.
 //!
-//! Light, threshold and moments come from the window alone, by loops of fixed length over rows of whole
-//! numbers, which compile to vector code.
+//! Gel level, threshold and moments come from the window alone. Loops of fixed length over rows of
+//! integers compile to vector code.
 
 use super::lanes::{Weights, moments};
 use super::pixels::{BAND, BITS, Corners, Gel, Lanes, Place, Room, Window, flip};
@@ -10,58 +11,60 @@ use crate::image::GrayView;
 use crate::math::DVec2;
 use crate::params::Polarity;
 
-/// A centre farther from the window's middle is looked at again, from a window around it.
+/// If the centre is farther from the window's middle, the window is moved onto it and evaluated again.
 const OFF_PX: f64 = 1.0;
 
-/// Windows tried for one position.
+/// Windows tried per position.
 const TRIES: usize = 3;
 
-/// Contrasts of less than this share of the usual one are no marker; and no marker has less than the second.
+/// Contrasts as shares of the usual one: below the first the window is gel, below the second it shows no
+/// marker.
 const SHARES_OF_USUAL: (f64, f64) = (0.3, 0.45);
 
-/// Corners whose levels differ by more than this share of the contrast: a shadow, a smear, another marker.
+/// Largest difference between corner levels as a share of the contrast; more is a shadow, a smear or
+/// another marker.
 const MAX_UNEVEN: f64 = 0.35;
 
-/// A component's mean position is so near to its marker's centre: simulated, 0.4 px at noise 2, 0.6 px at noise 18; two markers that
-/// nearly touch have theirs 2.5 px or more from their middle.
+/// Largest distance of a component's mean position from its marker's centre. Simulated: 0.4 px at noise
+/// 2, 0.6 px at noise 18. For two markers that nearly touch, it is 2.5 px or more from their midpoint.
 const MAX_OFF_PX: f64 = 1.0;
 
-/// A disc's second moment about its centre is area / 2 pi in each axis together; ellipses of 1 : 2 have 1.25
-/// times as much, two pieces more.
+/// Largest second moment relative to a disc's, which is area / 2 pi for both axes together. Ellipses of
+/// 1 : 2 have 1.25 times as much, two components more.
 const MAX_SPREAD: f64 = 1.35;
 
-/// What blur adds to it, px².
+/// Added second moment by blur, px².
 const BLUR_PX2: f64 = 1.0;
 
-/// A marker in a window.
+/// Marker found in a window.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WindowMarker {
-    /// Centre weighted by contrast, pixels.
+    /// Contrast-weighted centre, pixels.
     pub centre_px: DVec2,
-    /// Pixels darker than half way.
+    /// Pixels above half the contrast.
     pub area_px2: u32,
-    /// Contrast over which a pixel's weight grows, grey levels.
+    /// Contrast range over which a pixel's weight grows, grey levels.
     pub band: u8,
 }
 
-/// A window about a marker as its gel is measured: at its corners.
+/// Gel and contrast of a window around a marker; the gel is measured in the window's corners.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::detect) struct Frame {
-    /// Contrast over which a pixel's weight grows, grey levels.
+    /// Contrast range over which a pixel's weight grows, grey levels.
     pub band: f64,
-    /// Level of the gel.
+    /// Grey level of the gel.
     pub gel_level: f64,
-    /// Share of the band that gel without noise has: it is negative.
+    /// Value of noise-free gel as a share of the band; negative.
     pub gel_share: f64,
-    /// Side of the squares in the corners, and how far they are apart, pixels.
+    /// Side of the corner squares, and the distance between them, pixels.
     pub corner_px: f64,
     pub apart_px: f64,
 }
 
-/// What a window shows.
+/// Content of a window.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum WindowClass {
-    /// One marker, whole, with gel all around.
+    /// One whole marker surrounded by gel.
     Marker(WindowMarker),
     /// Gel.
     Empty,
@@ -69,20 +72,20 @@ pub enum WindowClass {
     Unclear,
 }
 
-/// What the weights of a window add up to.
+/// Moments of a window's weights.
 struct Outline {
     centre_px: DVec2,
     area_px2: f64,
     /// Sum of the variances along both axes, px².
     spread_px2: f64,
-    /// Something reaches the window's outermost pixels.
+    /// Whether something reaches the window's outermost pixels.
     touches: bool,
     band: u8,
 }
 
 impl Outline {
     fn marker(&self) -> WindowMarker {
-        // Rounded: no area is so near to a half that the sum would be.
+        // Rounded; no area is close enough to a half for the sum's rounding to matter.
         let area_px2 = (self.area_px2 + 0.5) as u32;
         WindowMarker { centre_px: self.centre_px, area_px2, band: self.band }
     }
@@ -106,29 +109,29 @@ impl<const L: usize> Weights<L> {
     }
 }
 
-/// Where a window came to rest.
+/// Result of moving a window onto its content.
 enum Settled {
-    /// Around what it shows.
+    /// Centred on its content.
     At(Gel, Outline),
-    /// On gel.
+    /// Gel only.
     Nothing,
-    /// Nowhere.
+    /// Outside the image, or not centred after all tries.
     Lost,
 }
 
-/// Looks at single windows.
+/// Classifies single windows.
 #[derive(Clone, Copy, Debug)]
 pub struct WindowClassifier<const L: usize> {
     size: MarkerSize,
-    /// 255 where markers are bright.
+    /// 255 if markers are bright.
     flip: u8,
-    /// Of windows that do not reach the image's right border.
+    /// Lanes of windows that do not reach the image's right border.
     lanes: Lanes<L>,
     corners: Corners,
 }
 
 impl<const L: usize> WindowClassifier<L> {
-    /// For markers of one size.
+    /// Creates the classifier for markers of one size.
     #[must_use]
     pub fn new(size: MarkerSize, polarity: Polarity) -> Self {
         Self { size, flip: flip(polarity), lanes: Lanes::of(0, &size), corners: Corners::of(&size) }
@@ -156,14 +159,14 @@ impl<const L: usize> WindowClassifier<L> {
         window.gel(&self.corners)
     }
 
-    /// The size of marker.
+    /// The marker size.
     #[must_use]
     pub const fn size(&self) -> &MarkerSize {
         &self.size
     }
 
-    /// The usual contrast around positions, grey levels: their mean, each weighted by its square, so that
-    /// empty places carry none.
+    /// Usual contrast around positions, grey levels: the mean contrast weighted by its square, so that
+    /// empty windows have negligible weight.
     pub fn usual_contrast<'p>(
         &self,
         image: GrayView<'_>,
@@ -180,7 +183,7 @@ impl<const L: usize> WindowClassifier<L> {
         cubes as f64 / (squares.max(1) << BITS) as f64
     }
 
-    /// What is seen around each of some positions in an image of this usual contrast.
+    /// Classifies the windows around positions in an image of this usual contrast.
     pub fn look_at_all(
         &self,
         image: GrayView<'_>,
@@ -203,14 +206,14 @@ impl<const L: usize> WindowClassifier<L> {
         }
     }
 
-    /// The marker about its component's mean position, if it lies whole in a window around it.
-    /// None farther than a pixel away: a window upon two markers that nearly touch settles in their middle.
+    /// Marker around its component's mean position, if it lies entirely in a window there. `None` if its
+    /// centre is over a pixel away: a window over two nearly touching markers settles between them.
     #[must_use]
     pub fn centre(&self, image: GrayView<'_>, at_px: DVec2) -> Option<WindowMarker> {
         self.outline_about(&image, at_px).map(|outline| outline.marker())
     }
 
-    /// As [`Self::centre`], of the size and shape of one marker.
+    /// As [`Self::centre`], but only if it has the size and shape of one marker.
     #[must_use]
     pub fn single(&self, image: GrayView<'_>, at_px: DVec2) -> Option<WindowMarker> {
         match self.decide(&self.outline_about(&image, at_px)?) {
@@ -232,8 +235,9 @@ impl<const L: usize> WindowClassifier<L> {
         }
     }
 
-    /// The pixels of the window around a marker's centre: of each, its squared distance from that, and how much darker it is than
-    /// where weights begin, as a share of the band over which they grow. `None` outside the image, and without contrast.
+    /// Passes each pixel of the window around a marker's centre to `each`: its squared distance from the
+    /// centre, and its contrast above the weights' lower limit as a share of the band. `None` outside the
+    /// image or without contrast.
     pub(in crate::detect) fn shares(
         &self,
         image: GrayView<'_>,
@@ -265,7 +269,7 @@ impl<const L: usize> WindowClassifier<L> {
         Some(Frame { band, gel_level, gel_share: -low * per_band, corner_px, apart_px })
     }
 
-    /// Moves the window until what it shows lies in its middle.
+    /// Moves the window until its content is centred.
     fn settle(&self, image: &GrayView<'_>, at_px: DVec2, least_depth: i32, room: &mut Room<L>) -> Settled {
         let mut middle_px = at_px;
         for _ in 0..TRIES {

@@ -1,14 +1,15 @@
-//! Sums over the rows of a window, its columns side by side: loops of fixed length, which compile to vector code.
+//! Sums over the rows of a window, with its columns in vector lanes: loops of fixed length compile to
+//! vector code.
 
 use super::size::MAX_WINDOW_PX;
 
-/// Sums of a window's weights by lane and by row: at most 32 of at most 255.
+/// Sums of a window's weights by column and by row: at most 32 values of at most 255.
 pub(super) struct Weights<const L: usize> {
     pub columns: [i16; L],
     pub rows: [i16; L],
 }
 
-/// The darkest level of the lanes that are on.
+/// Darkest level of the lanes that are on.
 #[inline(never)]
 pub(super) fn darkest<const L: usize>(rows: &[[u8; L]], on: &[u8; L]) -> u8 {
     let mut darkest = [u8::MAX; L];
@@ -18,8 +19,8 @@ pub(super) fn darkest<const L: usize>(rows: &[[u8; L]], on: &[u8; L]) -> u8 {
     darkest.iter().zip(on).fold(u8::MAX, |low, (&level, &on)| low.min(level | !on))
 }
 
-/// Turns levels into weights: how far they, and what is added to their row, stay below a limit, up to `band`. What is added
-/// becomes less from row to row; both in 1 / 512 level.
+/// Converts levels to weights: how far level plus row offset is below the limit, at most `band`. The
+/// offset `added` decreases by `less` per row; both in 1 / 512 level.
 #[inline(never)]
 pub(super) fn weigh<const L: usize>(
     rows: &mut [[u8; L]],
@@ -28,7 +29,7 @@ pub(super) fn weigh<const L: usize>(
     band: u8,
 ) {
     for row in rows {
-        // Hidden, or the compiler would take pixels of several rows together, which lie apart.
+        // Opaque to the compiler, which would otherwise vectorise across rows, whose pixels are not adjacent.
         let more = core::hint::black_box((added >> 9) as u8);
         *row = core::array::from_fn(|x| limit[x].saturating_sub(row[x].saturating_add(more)).min(band));
         added -= less;
@@ -36,7 +37,7 @@ pub(super) fn weigh<const L: usize>(
 }
 
 impl<const L: usize> Weights<L> {
-    /// Of a window of at most `L` rows. Apart from the weights themselves: together, neither compiles to whole vectors.
+    /// Sums for a window of at most `L` rows. Separate from `weigh`: combined, neither is fully vectorised.
     #[inline(never)]
     pub fn of(rows: &[[u8; L]]) -> Self {
         let [mut columns, mut sums] = [[0_i16; L]; 2];
@@ -57,13 +58,14 @@ pub(super) fn sum_columns<const L: usize>(rows: &[[u8; L]]) -> [i16; L] {
     columns
 }
 
-/// Sum of products. There is one instruction for eight of them, which is found here but not where one list is known.
+/// Sum of products. The compiler uses the multiply-add instruction for eight of them only if neither list
+/// is constant.
 #[inline(never)]
 pub(super) fn products<const L: usize>(a: &[i16; L], b: &[i16; L]) -> i32 {
     a.iter().zip(b).map(|(&a, &b)| i32::from(a) * i32::from(b)).sum()
 }
 
-/// Mean place and variance of weights along a line, one over whose sum is given.
+/// Mean and variance of weights along a line; `per` is one over their sum.
 pub(super) fn moments<const L: usize>(line: &[i16; L], per: f64) -> (f64, f64) {
     let first = products(line, &const { powers(1) });
     let second = products(line, &const { powers(2) });
@@ -71,7 +73,7 @@ pub(super) fn moments<const L: usize>(line: &[i16; L], per: f64) -> (f64, f64) {
     (mean, f64::from(second) * per - mean * mean)
 }
 
-/// Powers of places.
+/// Powers of the lane indices.
 const fn powers<const L: usize>(exponent: u32) -> [i16; L] {
     let mut powers = [0; L];
     let mut at = 0;
@@ -82,7 +84,7 @@ const fn powers<const L: usize>(exponent: u32) -> [i16; L] {
     powers
 }
 
-/// Nothing, and all ones from a lane on.
+/// Zeros, then all ones from a lane on.
 pub(super) fn step_up<const L: usize>(lane: usize) -> [u8; L] {
     const STEP: [u8; 2 * MAX_WINDOW_PX] = {
         let mut step = [0; 2 * MAX_WINDOW_PX];

@@ -1,4 +1,4 @@
-//! Small windows of an image: where they lie, what they show, and the pieces that their mask falls into.
+//! Small windows of an image: their position, classification and components.
 
 pub(super) mod classifier;
 mod lanes;

@@ -1,21 +1,21 @@
-//! The pieces that the mask of a small window falls into, a row in 64 bits.
+//! Connected components of a small window's mask, one row per 64-bit word.
 
 use super::roi::{MAX_ROI_PX, Window};
 use crate::detect::mask::bit_rows::bits;
 use crate::detect::mask::components::{Blob, Run};
 use alloc::vec::Vec;
 
-/// The mask of one window, and the pieces that it falls into.
+/// Mask of one window and its components.
 #[derive(Clone, Debug, Default)]
 pub struct Pieces {
-    /// One bit a pixel, the first column's lowest.
+    /// One bit per pixel, the first column in the lowest bit.
     rows: Vec<u64>,
     piece: Vec<u64>,
     runs: Vec<Run>,
 }
 
 impl Pieces {
-    /// Makes room for any window.
+    /// Reserves memory for any window.
     pub fn reserve(&mut self) {
         for rows in [&mut self.rows, &mut self.piece] {
             rows.clear();
@@ -30,7 +30,7 @@ impl Pieces {
         self.rows.clear();
     }
 
-    /// Adds the next row, bytes of 0 or 255, at most [`MAX_ROI_PX`] of them.
+    /// Adds the next row: at most [`MAX_ROI_PX`] bytes of 0 or 255.
     pub fn push(&mut self, row: &[u8]) {
         let (words, rest) = row.as_chunks::<8>();
         let mut last = [0; 8];
@@ -40,8 +40,8 @@ impl Pieces {
         self.rows.push(row);
     }
 
-    /// Takes the next 8-connected piece out of the mask: its sums, and whether it may reach beyond the window. Its runs
-    /// are then [`Self::runs`].
+    /// Removes the next 8-connected component from the mask: its sums, and whether it may extend beyond
+    /// the window. Its runs are then [`Self::runs`].
     pub fn next(&mut self, window: &Window) -> Option<(Blob, bool)> {
         let seed = self.rows.iter().position(|&bits| bits != 0)?;
         self.flood(seed);
@@ -69,13 +69,14 @@ impl Pieces {
         Some((blob, partial))
     }
 
-    /// The runs of the last piece, in raster order.
+    /// Runs of the last component, in raster order.
     #[must_use]
     pub fn runs(&self) -> &[Run] {
         &self.runs
     }
 
-    /// Fills `piece` with all that hangs together with the first pixel of row `seed`: down and up until nothing is added.
+    /// Fills `piece` with the component of the first pixel of row `seed`, sweeping down and up until
+    /// nothing is added.
     fn flood(&mut self, seed: usize) {
         let Self { rows, piece, .. } = self;
         piece.clear();
@@ -90,7 +91,8 @@ impl Pieces {
                 }
                 end += 1;
             }
-            // Rows are closed towards those above now. If none gains from the one below, all is found.
+            // Every row now includes its connections from above. If none grows from the row below, the
+            // component is complete.
             let mut grown = false;
             for y in (seed..end).rev() {
                 grown |= grow(rows, piece, y, Some(y + 1));
@@ -102,7 +104,7 @@ impl Pieces {
     }
 }
 
-/// Adds to a row of the piece what touches it along the row or in the row `from`; whether there was any.
+/// Adds to a row of the component the pixels connected along the row or to row `from`; whether it grew.
 fn grow(rows: &[u64], piece: &mut [u64], y: usize, from: Option<usize>) -> bool {
     let before = piece[y];
     let mut here = before | from.and_then(|row| piece.get(row)).map_or(0, |&bits| widened(bits) & rows[y]);

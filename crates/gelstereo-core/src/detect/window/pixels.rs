@@ -1,21 +1,21 @@
-//! A window's pixels, its light, and their weights.
+//! Pixels of a window, its gel plane and the pixel weights.
 
 use super::lanes::{Weights, darkest, products, step_up, sum_columns, weigh};
 use super::size::MarkerSize;
 use crate::math::DVec2;
 use crate::params::Polarity;
 
-/// Contrasts that count, as shares of that of the window's darkest pixel: noise of the gel lies below, grain
-/// of the paint above.
+/// Contrast range that is weighted, as shares of the darkest pixel's contrast. Gel noise lies below,
+/// paint grain above.
 pub(super) const BAND: (f64, f64) = (0.2, 0.7);
 
 /// Fractional bits of levels.
 pub(super) const BITS: u32 = 3;
 
-/// Steepest gel, 1 / 256 level per pixel.
+/// Largest gel slope, 1 / 256 level per pixel.
 const MAX_SLOPE: i32 = 256;
 
-/// What is added to levels without carry so that markers are dark.
+/// XOR mask that makes markers dark.
 pub(in crate::detect) const fn flip(polarity: Polarity) -> u8 {
     match polarity {
         Polarity::Dark => 0,
@@ -23,42 +23,42 @@ pub(in crate::detect) const fn flip(polarity: Polarity) -> u8 {
     }
 }
 
-/// The gel of a window as a plane, and its darkest pixel.
+/// Gel of a window as a plane, and its darkest pixel.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Gel {
-    /// In the middle, with [`BITS`].
+    /// Level in the middle, with [`BITS`].
     pub level: i32,
-    /// Slopes along a row and down, 1 / 256 level per pixel.
+    /// Slopes along a row and down a column, 1 / 256 level per pixel.
     pub along: i32,
     pub down: i32,
-    /// Of the corners, from the darkest to the brightest, with [`BITS`].
+    /// Range of the corner levels, darkest to brightest, with [`BITS`].
     pub uneven: i32,
     /// Contrast of the darkest pixel, with [`BITS`].
     pub depth: i32,
 }
 
 impl Gel {
-    /// Contrast from which weights begin, with [`BITS`], and over which they grow, grey levels.
+    /// Contrast at which weights begin, with [`BITS`], and range over which they grow, grey levels.
     pub(super) fn band(&self) -> (i32, u8) {
         let share = |share: f64| (share * f64::from(self.depth)) as i32;
         (share(BAND.0), (share(BAND.1 - BAND.0) >> BITS).clamp(1, 255) as u8)
     }
 }
 
-/// Where a window lies.
+/// Position of a window.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Place<const L: usize> {
     /// First column and row.
     pub first: (usize, usize),
-    /// Column of the first lane; the window's own begin with it, or later where the image ends.
+    /// Column of lane 0. The window's first column is lane 0, or a later one near the image's right border.
     pub begin: usize,
     pub side: usize,
 }
 
 impl<const L: usize> Place<L> {
-    /// The window whose middle is nearest to a position, or nearest within the image.
+    /// Window whose middle is nearest to a position, as far as the image allows.
     pub(super) fn around(at_px: DVec2, side: usize, (width, height): (usize, usize)) -> Option<Self> {
-        // From 32 bits: there is an instruction.
+        // Via 32 bits, for which there is a conversion instruction.
         let float = |size: usize| f64::from(size as u32);
         let inside = |at: f64, size: usize| at >= 0.0 && at <= float(size) - 1.0;
         if width < L || height < side || side > L || !inside(at_px.x, width) || !inside(at_px.y, height) {
@@ -79,18 +79,18 @@ impl<const L: usize> Place<L> {
     }
 }
 
-/// Which lanes belong to a window, and to its corners.
+/// Masks of the lanes in a window and in its corners.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Lanes<const L: usize> {
-    /// All ones, or nothing.
+    /// All ones inside, 0 outside.
     inside: [u8; L],
-    /// One, or nothing.
+    /// 1 inside, 0 outside.
     left: [i16; L],
     right: [i16; L],
 }
 
 impl<const L: usize> Lanes<L> {
-    /// Of windows that begin with this lane.
+    /// Masks for windows whose first column is this lane.
     pub(super) fn of(lane: usize, size: &MarkerSize) -> Self {
         let within = |first: usize, end: usize| -> [u8; L] {
             let (rise, fall) = (step_up::<L>(lane + first), step_up::<L>(lane + end));
@@ -102,8 +102,9 @@ impl<const L: usize> Lanes<L> {
     }
 }
 
-/// Division of whole numbers by a fixed one, truncated as `/` is, by its reciprocal, which takes a fraction of the time. It is
-/// rounded up to so many bits that the quotient is exact while number times divisor is below 2 to the power of [`Self::BITS`].
+/// Integer division by a constant, truncated like `/`, as a much faster multiplication by the reciprocal.
+/// The reciprocal is rounded up; the quotient is exact while number times divisor is below 2 to the power
+/// of [`Self::BITS`].
 #[derive(Clone, Copy, Debug)]
 struct Divisor {
     reciprocal: i64,
@@ -121,17 +122,17 @@ impl Divisor {
     }
 }
 
-/// The squares in a window's corners where the gel's level is taken.
+/// Squares in a window's corners where the gel's level is measured.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Corners {
     side_px: usize,
     area: Divisor,
-    /// Twice the area by how far they are apart.
+    /// Twice their area times the distance between them.
     twice_apart: Divisor,
 }
 
 impl Corners {
-    /// In windows of markers of a size.
+    /// Corners of windows for markers of this size.
     pub(super) fn of(size: &MarkerSize) -> Self {
         let (side, corner) = (size.side_px as i32, size.corner_px() as i32);
         let area = corner * corner;
@@ -140,17 +141,17 @@ impl Corners {
     }
 }
 
-/// A window's pixels, dark markers on a bright gel.
+/// Pixels of a window, dark markers on a bright gel.
 pub(super) struct Window<'a, const L: usize> {
     pub place: Place<L>,
     pub lanes: &'a Lanes<L>,
     pub rows: &'a mut [[u8; L]],
 }
 
-/// Where a window's pixels are kept.
+/// Buffer for a window's pixels.
 pub(super) struct Room<const L: usize> {
     pub rows: [[u8; L]; L],
-    /// Unless they are the usual ones.
+    /// Lane masks that differ from the usual ones.
     pub lanes: Option<Lanes<L>>,
 }
 
@@ -161,7 +162,7 @@ impl<const L: usize> Room<L> {
 }
 
 impl<const L: usize> Window<'_, L> {
-    /// The gel by the window's corners.
+    /// Fits the gel plane to the window's corners.
     #[inline(always)]
     pub(super) fn gel(&self, corners: &Corners) -> Gel {
         let (corner, far) = (corners.side_px, self.place.side - corners.side_px);
@@ -179,10 +180,10 @@ impl<const L: usize> Window<'_, L> {
         Gel { level, along: per_px(b + d - a - c), down: per_px(c + d - a - b), uneven, depth }
     }
 
-    /// Weights of the window's pixels: how much darker than the gel, less `low`, at most `band`.
+    /// Weights of the window's pixels: contrast to the gel minus `low`, from 0 to `band`.
     pub(super) fn weigh(&mut self, gel: &Gel, (low, band): (i32, u8)) -> Weights<L> {
         let (lane, side) = (self.place.lane() as i32, self.place.side as i32);
-        // Of the brightest row; the others are less by a whole number of levels. All these numbers fit 16 bits.
+        // Limit of the brightest row; other rows are lower by whole levels. All values fit 16 bits.
         let brightest = (gel.level - low + ((side * gel.down.abs()) >> (9 - BITS))) as i16;
         let (along, before) = (gel.along as i16, (gel.along * (2 * lane + side - 1)) as i16);
         let limit: [u8; L] = core::array::from_fn(|x| {
@@ -200,7 +201,7 @@ mod tests {
     use super::*;
     use crate::detect::window::size::MAX_WINDOW_PX;
 
-    /// Of every sum that a window's corners may have, with its fractional bits, and so of every slope.
+    /// Tests every sum possible in a window's corners, with fractional bits, and so every slope.
     #[test]
     fn a_divisor_divides_as_the_operator_does() {
         let largest = (MAX_WINDOW_PX / 5) as i32;

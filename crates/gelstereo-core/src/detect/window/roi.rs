@@ -1,11 +1,11 @@
-//! Parts of an image that are searched for one marker.
+//! Regions of interest around expected marker positions.
 
 use crate::math::DVec2;
 
-/// Most columns and rows of a window.
+/// Largest number of columns and rows of a window.
 pub const MAX_ROI_PX: usize = 64;
 
-/// Part of an image around an expected position: columns and rows from the first to one past the last.
+/// Region of an image around an expected position, as half-open ranges of columns and rows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Window {
     /// First column and row.
@@ -15,8 +15,8 @@ pub struct Window {
 }
 
 impl Window {
-    /// The pixels up to `reach_px` away from a position in each axis, as far as they lie within an image of this size; `None`
-    /// if none do.
+    /// Pixels within `reach_px` of a position in each axis, clipped to an image of this size; `None` if
+    /// there are none.
     #[must_use]
     pub fn around(position_px: DVec2, reach_px: f64, size_px: (usize, usize)) -> Option<Self> {
         if !position_px.is_finite() || !(reach_px >= 0.0) {

@@ -1,20 +1,20 @@
-//! What markers of one size ask of the windows around them.
+//! Window dimensions for markers of one size.
 
-/// Most rows and columns of a window.
+/// Largest number of rows and columns of a window.
 pub const MAX_WINDOW_PX: usize = 32;
 
-/// Gel around a marker, beyond its outline, that takes part in its centre: its blurred edge.
+/// Width of the blurred edge outside a marker's outline that contributes to its centre.
 const EDGE_PX: f64 = 2.5;
 
-/// Room for a marker beside its expected position, beyond its edge, pixels to both sides together.
+/// Room for a marker's offset from its expected position, pixels, both sides together.
 const SLACK_PX: f64 = 3.0;
 
-/// Smaller markers, which stand closer together, have less of both: weights end where a fifth of the contrast is left
-/// ([`BAND`]), within a pixel of the outline.
+/// Smaller markers stand closer together and get less of both. Weights end where a fifth of the contrast
+/// is left ([`BAND`]), within a pixel of the outline.
 const SMALL_RADIUS_PX: f64 = 1.8;
 const SMALL_EDGE_AND_SLACK_PX: (f64, f64) = (1.25, 2.0);
 
-/// Shares of the usual area that a marker may have.
+/// Least and largest marker area as shares of the usual area.
 const SHARES_OF_AREA: (f64, f64) = (0.4, 2.0);
 
 /// Markers of one size, and the windows around them.
@@ -22,14 +22,14 @@ const SHARES_OF_AREA: (f64, f64) = (0.4, 2.0);
 pub struct MarkerSize {
     /// Rows and columns of a window.
     pub side_px: usize,
-    /// Usual marker's radius.
+    /// Radius of the usual marker.
     pub radius_px: f64,
     /// Least and largest area of a marker.
     pub area_px2: (u32, u32),
 }
 
 impl MarkerSize {
-    /// For markers of a usual area; `None` where they are too large for a window.
+    /// Dimensions for markers of a usual area; `None` if they are too large for a window.
     #[must_use]
     pub fn of(usual_area_px2: f64) -> Option<Self> {
         let radius_px = crate::math::sqrt(usual_area_px2.max(0.0) * core::f64::consts::FRAC_1_PI);
@@ -43,7 +43,7 @@ impl MarkerSize {
         Some(Self { side_px: side_px as usize, radius_px, area_px2 })
     }
 
-    /// Whether a window about one marker ends before its neighbours' edges when they stand a pitch away.
+    /// Whether a window around one marker ends before the edges of neighbours at this pitch.
     #[must_use]
     pub fn fits(&self, pitch_px: f64) -> bool {
         let (edge_px, _) = edge_and_slack_px(self.radius_px);
@@ -59,12 +59,12 @@ impl MarkerSize {
         core::f64::consts::PI * self.radius_px * self.radius_px
     }
 
-    /// A square with this side holds no two markers' centres: they would overlap by half.
+    /// Side of a square that holds at most one marker centre: two would overlap by half.
     pub(in crate::detect) const fn cell_px(&self) -> f64 {
         self.radius_px.max(1.0)
     }
 
-    /// Side of the squares in a window's corners where the gel's level is taken.
+    /// Side of the corner squares where the gel's level is measured.
     pub(super) const fn corner_px(&self) -> usize {
         if self.side_px < 15 { 2 } else { self.side_px / 5 }
     }

@@ -1,4 +1,4 @@
-//! One classifier for markers of any kind.
+//! Window classifier for markers of any size.
 
 use super::classifier::{WindowClassifier, WindowMarker};
 use super::size::MarkerSize;
@@ -6,7 +6,7 @@ use crate::image::GrayView;
 use crate::math::DVec2;
 use crate::params::Polarity;
 
-/// An classifier with as many lanes as windows of its kind need.
+/// Window classifier with the number of lanes that its windows need.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::detect) enum SizedClassifier {
     Small(WindowClassifier<16>),

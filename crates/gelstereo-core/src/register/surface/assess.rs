@@ -171,8 +171,8 @@ struct Doubt {
 }
 
 impl Doubt {
-    /// Adds a point: its contact probability w, its information t = J² / σ², and its squared distance r²
-    /// / σ².
+    /// Adds a point: its contact probability w, its information t = J² / σ², and its squared distance
+    /// r² / σ².
     fn add(&mut self, w: f64, t: f64, r_squared: f64) {
         let pulls = w * t * r_squared;
         self.told += w * t;

@@ -92,9 +92,9 @@ impl UsualResiduals {
         self.since = 0;
     }
 
-    /// Whether markers with usual deviations deviate as much with a probability below e^-14 (Bernstein
-    /// 1924): n squares below b, of variance v, exceed their mean by t in all with less than e^(-t² / 2
-    /// (n v + b t / 3)).
+    /// Whether usual deviations are as large with a probability below e^-14 (Bernstein 1924). The sum of
+    /// n squares below b, of variance v, exceeds its mean by t with a probability below e^(-t² / 2 (n
+    /// v + b t / 3)).
     pub fn is_exceeded(&self, by: &Misfit) -> bool {
         let count = by.markers as f64;
         let variance = (self.mean_square - self.mean * self.mean).max(0.0);

@@ -131,7 +131,7 @@ pub(super) const MEDIUM: usize = 64;
 #[derive(Clone, Debug, Default)]
 pub(super) struct Samples {
     pub centre_mm: DVec3,
-    /// As [`RegisterParams::gel_scale`].
+    /// As [`AdvancedRegisterParams::gel_scale`].
     pub gel_scale: f64,
     /// Rms radius of the patch.
     pub radius_mm: f64,

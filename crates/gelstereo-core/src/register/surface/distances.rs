@@ -216,7 +216,7 @@ impl Exact<'_> {
 #[derive(Clone, Copy)]
 pub(super) struct Coarse<'a> {
     pub field: &'a Field,
-    /// As [`RegisterParams::gel_scale`](crate::params::RegisterParams::gel_scale).
+    /// As [`AdvancedRegisterParams::gel_scale`](crate::params::AdvancedRegisterParams::gel_scale).
     pub gel_scale: f64,
 }
 

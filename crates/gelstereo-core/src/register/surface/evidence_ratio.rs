@@ -30,7 +30,7 @@ pub(super) type Read<'a> = (&'a RefineScratch, Option<&'a GelFitScratch>);
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Odds {
     /// ln P(markers | part at the pose) - ln P(markers | something else), with equal priors. Points count
-    /// as independent, so large values are overconfident.
+    /// as independent, so values far from 0 are overconfident.
     pub log: f64,
     /// Whether the gel beside the part follows its model.
     pub is_law_kept: bool,

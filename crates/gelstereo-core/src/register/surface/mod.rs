@@ -3,9 +3,9 @@
 //!
 //! A salient point is in contact with the part or free beside it, and no marker is inside the part
 //! ([`mixture`]). The pose is the most likely one under that mixture; the guess is a weak prior that
-//! fixes the free directions. Where all markers are known, the full search ends with a fit of the gel
-//! model ([`gel::fit`]). One start suffices close to the solution. Farther off many are needed, since
-//! threads, teeth and edges each have a local minimum.
+//! keeps the free directions where they were guessed. Where all markers are known, the full search ends
+//! with a fit of the gel model ([`gel::fit`]). One start suffices close to the solution. Farther off many
+//! are needed, since threads, teeth and edges each have a local minimum.
 
 mod assess;
 mod candidate;

@@ -3,10 +3,10 @@
 use crate::math::{abs, bessel_j1, round_even};
 use alloc::vec::Vec;
 
-/// Nodes per unit. In between J1 is taken as straight, which is right to 1 / 16² / 8 · 0.5 = 2.4e-4: weights that are
-/// off by that much cost 1e-7 of precision.
+/// Nodes per unit. Linear interpolation of J1 is accurate to 1 / 16² / 8 · 0.5 = 2.4e-4; such weight
+/// errors cost 1e-7 of precision.
 const PER_UNIT: f64 = 16.0;
-/// Of one J1, which is nowhere above 0.582: small numbers keep the table small.
+/// Integer steps per unit of J1, which is at most 0.582; 16-bit values keep the table small.
 const STEPS: f64 = 50_000.0;
 
 /// J1 up to a largest argument.
@@ -14,7 +14,7 @@ const STEPS: f64 = 50_000.0;
 pub(super) struct Bessel(Vec<i16>);
 
 impl Bessel {
-    /// For arguments up to this one, of either sign.
+    /// Table for arguments up to this magnitude.
     pub fn up_to(most: f64) -> Self {
         let last = (most * PER_UNIT) as usize + 2;
         Self((0..=last).map(|n| round_even(STEPS * bessel_j1(n as f64 / PER_UNIT)) as i16).collect())

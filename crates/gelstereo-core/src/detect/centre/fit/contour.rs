@@ -1,8 +1,9 @@
-//! The normal matrix of a step as an integral along the outline, at a twentieth of the cost of a sum over pixels.
+//! Normal matrix of a step as an integral along the outline, at a twentieth of the cost of a sum over pixels.
 //!
-//! Weights and slopes live within a blur of the outline. Across it they integrate to constants of the image, so that along it
-//! a few points suffice: the trapezoidal rule on an ellipse converges exponentially (Trefethen and Weideman, SIAM Review
-//! 2014). What curvature and sampling change is the same for all markers of an image to first order, and measured on samples.
+//! Weights and slopes vanish beyond a blur from the outline. Their integrals across it are constants of
+//! the image, so a few points along it suffice: the trapezoidal rule on an ellipse converges
+//! exponentially (Trefethen and Weideman, SIAM Review 2014). The effects of curvature and sampling are
+//! the same for all markers of an image to first order, and are measured on samples.
 
 use super::disc::{Levels, Matrix, Outline};
 use super::edge::Across;
@@ -18,8 +19,8 @@ const HALF_TURN: [(f64, f64); 8] = {
     [(1.0, 0.0), (C, S), (R, R), (S, C), (0.0, 1.0), (-S, C), (-R, R), (-C, S)]
 };
 
-/// The normal matrix of the outline's step for a contrast of 1, less what the levels take up when they follow it. `None`
-/// for what is no ellipse.
+/// Normal matrix of the outline's step for a contrast of 1, with the levels eliminated. `None` if the
+/// outline is not an ellipse.
 pub(super) fn matrix(
     outline: &Outline,
     across: &Across,
@@ -28,17 +29,18 @@ pub(super) fn matrix(
 ) -> Option<Matrix> {
     let [[sxx, sxy], [_, syy]] = outline.spread_px2()?;
     let [axx, axy, ayy] = outline.form;
-    // A root of the spread: points of the ellipse are its products with those of the unit circle.
+    // A square root of the spread: it maps the unit circle to the ellipse.
     let l11 = sqrt(sxx);
     let l21 = sxy / l11;
     let l22 = sqrt((syy - l21 * l21).max(0.0));
     let mut matrix = [[0.0; 5]; 5];
-    // Σ of what moves each parameter times 1, x and y from the ellipse's centre.
+    // Σ of each parameter's outline shift times 1, x and y, relative to the ellipse's centre.
     let mut moved = [[0.0; 3]; 5];
     for (cos, sin) in HALF_TURN {
         let (x, y) = (l11 * cos, l21 * cos + l22 * sin);
         let (along, up) = (axx * x + axy * y, axy * x + ayy * y);
-        // The outline moves outwards by c / |A p| for each parameter, and its element is |A p| times the area element.
+        // Parameter shifts move the outline outwards by c / |A p|; its line element is |A p| times the
+        // area element.
         let c = [along, up, -0.5 * x * x, -x * y, -0.5 * y * y];
         let per = 1.0 / sqrt(along * along + up * up);
         for i in 0..2 {
@@ -75,7 +77,7 @@ pub(super) fn matrix(
     Some(matrix)
 }
 
-/// The matrix with rows and columns times these factors.
+/// The matrix with rows and columns scaled by these factors.
 pub(super) fn scaled(matrix: &Matrix, by: &[f64; 5]) -> Matrix {
     let mut scaled = *matrix;
     for i in 0..5 {

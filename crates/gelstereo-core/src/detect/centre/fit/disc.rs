@@ -1,4 +1,4 @@
-//! One blurred, tilted disc on a sloping ground: its parameters and the sums of a step of the fit.
+//! A blurred, tilted disc on sloping ground: its parameters and the sums of a fit step.
 
 use super::edge::Edge;
 use super::lanes::{Lanes, Sum, WIDTH, inverse_root};
@@ -25,7 +25,7 @@ pub(super) struct Levels {
 }
 
 impl Outline {
-    /// With the semi-axes of this matrix (their squares are its eigenvalues).
+    /// Ellipse with the semi-axes of this matrix (their squares are its eigenvalues).
     pub fn new(centre: DVec2, spread_px2: &Symmetric<2>) -> Option<Self> {
         let [[xx, xy], [_, yy]] = *spread_px2;
         let determinant = xx * yy - xy * xy;
@@ -33,8 +33,8 @@ impl Outline {
             .then(|| Self { centre, form: [yy / determinant, -xy / determinant, xx / determinant] })
     }
 
-    /// Radius of curvature at the ends of the longer axis: the shorter semi-axis squared over the longer one. `None` when
-    /// it is no ellipse.
+    /// Radius of curvature at the ends of the longer axis: the shorter semi-axis squared over the longer
+    /// one. `None` if it is not an ellipse.
     pub fn sharpest_px(&self) -> Option<f64> {
         let [[xx, xy], [_, yy]] = self.spread_px2()?;
         let mean = 0.5 * (xx + yy);
@@ -42,7 +42,7 @@ impl Outline {
         Some((mean - apart) / sqrt(mean + apart))
     }
 
-    /// The matrix whose eigenvalues are the squared semi-axes; `None` when it is no ellipse.
+    /// Matrix whose eigenvalues are the squared semi-axes; `None` if it is not an ellipse.
     pub fn spread_px2(&self) -> Option<Symmetric<2>> {
         let [xx, xy, yy] = self.form;
         let determinant = xx * yy - xy * xy;
@@ -51,8 +51,8 @@ impl Outline {
     }
 }
 
-/// Some pixels of a window: where they are from its middle, their levels, and what the model says of them. Places without a
-/// pixel are zero in all that is summed.
+/// Some pixels of a window: positions relative to its middle, levels and model values. Unused lanes are
+/// zero in all sums.
 #[derive(Clone, Copy, Debug, Default)]
 struct Cell {
     x: Lanes,
@@ -60,26 +60,26 @@ struct Cell {
     /// 1 for a pixel.
     one: Lanes,
     level: Lanes,
-    /// Share of the contrast, and its fall with the distance from the outline over the blur.
+    /// Share of the contrast, and its decrease with distance from the outline over blur.
     inside: Lanes,
     density: Lanes,
-    /// Distance from the outline, px, outside positive.
+    /// Distance from the outline, px, positive outside.
     distance: Lanes,
     weight: Lanes,
-    /// How far the outline moves outwards here with each parameter: centre, then form.
+    /// Outward shift of the outline here per unit of each parameter: centre, then form.
     basis: [Lanes; 5],
-    /// How the level changes with the slopes of the light: the place, but more where there is contrast, for that takes
-    /// part in the light.
+    /// Derivatives of the level with respect to the light slopes: the position, scaled up within the
+    /// marker, whose contrast follows the light.
     lit: [Lanes; 2],
 }
 
-/// Answers of a cell's pixels: of centre and form, times the contrast, and of the contrast.
+/// Sensitivity to a cell's pixels of centre and form, each times the contrast, and of the contrast.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Answers([Lanes; ANSWERS]);
 pub(super) const ANSWERS: usize = 6;
 
 impl Cell {
-    /// Shares, slopes and weights at the cell's distances.
+    /// Computes shares, slopes and weights at the cell's distances.
     #[inline]
     fn shade(&mut self, per_blur: f32, edge: &Edge, scratch: &mut Scratch, whole: bool) {
         let Scratch { place, off, .. } = scratch;
@@ -98,25 +98,25 @@ impl Cell {
 /// The outline's part of the normal equations (lower triangle), for a contrast of 1.
 pub(super) type Matrix = Symmetric<5>;
 
-/// Right side of the outline's step, and Σ residual².
+/// Right-hand side of the outline's step, and Σ residual².
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Pull {
     pub right: [f64; 5],
     pub residual2: f64,
 }
 
-/// Pixels within a circle about a pixel, as far as the image goes.
+/// Pixels within a circle around a pixel, clipped to the image.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Extent {
     /// Squared radius, px².
     radius2: i64,
-    /// First and last column and row of the image, from the middle, but none farther out than the radius.
+    /// First and last column and row relative to the middle, limited by the image and the radius.
     columns: (i64, i64),
     rows: (i64, i64),
 }
 
 impl Extent {
-    /// Of an image without end.
+    /// Extent in an unbounded image.
     fn whole(radius_px: f64) -> Self {
         let extent = Self { radius2: (radius_px * radius_px) as i64, ..Self::default() };
         let reach = extent.reach();
@@ -138,17 +138,17 @@ impl Extent {
     }
 }
 
-/// Pixels about a marker.
+/// Pixels around a marker.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Window {
     extent: Extent,
-    /// Of each row with pixels: its distance from the middle's, first column and number of columns.
+    /// For each row with pixels: its offset from the middle row, first column and number of columns.
     spans: Vec<(i64, i64, usize)>,
-    /// Pixels in all.
+    /// Total number of pixels.
     pixels: usize,
     /// Levels of the pixels.
     loaded: Vec<f32>,
-    /// Row by row; the places serve every marker of the same extent.
+    /// Row by row; the positions are shared by all markers of the same extent.
     cells: Vec<Cell>,
     /// Σ over pixels of products of 1, x, y with each other (lower triangle) and with the level.
     ground: Symmetric<3>,
@@ -158,7 +158,7 @@ pub(super) struct Window {
     scratch: Scratch,
 }
 
-/// What the loops over one cell hand on to each other. It is kept, for a new one would be cleared first.
+/// Data passed between the loops over one cell; kept to avoid clearing a new one.
 #[derive(Clone, Debug, Default)]
 struct Scratch {
     place: [u32; WIDTH],
@@ -168,9 +168,9 @@ struct Scratch {
 }
 
 impl Window {
-    /// Room for a window of so many pixels across.
+    /// Reserves memory for a window of `side` pixels across.
     pub fn reserve(&mut self, side: usize) {
-        // A circle through the corners of pixels on its edge has the area of all, and more.
+        // A circle through the corners of its edge pixels covers at least the area of all pixels.
         let reach = 0.5 * side as f64 + FRAC_1_SQRT_2;
         let cells = ((PI * reach * reach) as usize).div_ceil(WIDTH);
         self.cells.reserve(cells.saturating_sub(self.cells.len()));
@@ -178,7 +178,7 @@ impl Window {
         self.loaded.reserve((cells * WIDTH).saturating_sub(self.loaded.len()));
     }
 
-    /// The pixels of `image` within `radius_px` of that at `centre_px`; their number.
+    /// Loads the pixels of `image` within `radius_px` of the pixel at `centre_px`; returns their number.
     pub fn load(&mut self, image: GrayView<'_>, centre_px: DVec2, radius_px: f64) -> usize {
         self.origin = DVec2::new(round_even(centre_px.x), round_even(centre_px.y));
         let (x, y) = (self.origin.x as i64, self.origin.y as i64);
@@ -200,13 +200,13 @@ impl Window {
         self.pixels
     }
 
-    /// The same pixels about no marker, as if the image had no end; their number.
+    /// Sets up the same pixels without a marker in an unbounded image; returns their number.
     pub fn lay(&mut self, radius_px: f64) -> usize {
         self.set(Extent::whole(radius_px));
         self.pixels
     }
 
-    /// Whether the image has all pixels within this radius, and the window no others.
+    /// Whether the window has all pixels within this radius and no others.
     pub fn is_whole(&self, radius_px: f64) -> bool {
         self.extent == Extent::whole(radius_px)
     }
@@ -218,7 +218,7 @@ impl Window {
         }
     }
 
-    /// Places of the pixels of a new extent, and their sums.
+    /// Computes the pixel positions of a new extent and their sums.
     fn place(&mut self) {
         self.spans.clear();
         self.spans.extend(self.extent.spans().filter(|&(_, _, count)| count > 0));
@@ -248,7 +248,7 @@ impl Window {
         sums.each_ref().map(Sum::total)
     }
 
-    /// Draws the model's shares for an outline of this blur.
+    /// Computes the model's shares for an outline with this blur.
     pub fn draw(&mut self, outline: &Outline, blur_px: f64, edge: &Edge) {
         let [xx, xy, yy] = outline.form.map(|entry| entry as f32);
         let (centre_x, centre_y) = (outline.centre.x as f32, outline.centre.y as f32);
@@ -259,8 +259,8 @@ impl Window {
             for k in 0..WIDTH {
                 let (x, y) = (cell.x[k] - centre_x, cell.y[k] - centre_y);
                 let (along, across) = (xx * x + xy * y, xy * x + yy * y);
-                // Distance from the outline to first order (Sampson): (q² - 1) / |∇(q²)| with q = 1 on it, but growing as
-                // q does.
+                // First-order distance from the outline (Sampson), (q² - 1) / |∇(q²)| with q = 1 on it,
+                // made linear in q.
                 let q2 = x * along + y * across + TINY;
                 let q = q2 * inverse_root(q2);
                 let inverse = inverse_root(along * along + across * across + TINY);
@@ -276,8 +276,8 @@ impl Window {
         }
     }
 
-    /// Contrast over the gel's level: light that falls off takes its share of the contrast with it, so that where the dot
-    /// is a slope of light is 1 plus this as steep.
+    /// Includes the light slope in the contrast; `per_ground` is the contrast over the gel's level. A
+    /// light slope is 1 plus this value times as steep inside the dot.
     pub fn light(&mut self, per_ground: f64) {
         let per_ground = per_ground as f32;
         for cell in &mut self.cells {
@@ -299,7 +299,7 @@ impl Window {
         Some((Levels { contrast, ground, slope: DVec2::new(x, y) }, factor))
     }
 
-    /// That factor alone.
+    /// Only the factor of [`Self::levels`].
     pub fn follow(&self) -> Option<Factor<4>> {
         let ([one, x, y, square], _) = self.inside_sums();
         self.factor_with(one, x, y, square)
@@ -323,7 +323,7 @@ impl Window {
         ])
     }
 
-    /// By how much the blur should grow, by least squares together with the levels.
+    /// Blur increment by least squares together with the levels.
     pub fn blur_step(&self, blur_px: f64) -> Option<f64> {
         let per_blur = (1.0 / blur_px) as f32;
         let mut matrix = [[Sum::default(); 5]; 5];
@@ -347,7 +347,7 @@ impl Window {
         step_px.is_finite().then_some(step_px)
     }
 
-    /// The normal matrix of the outline's step, less what the levels take up when they follow it (variable projection).
+    /// Normal matrix of the outline's step with the levels eliminated (variable projection).
     pub fn matrix(&self, levels: &Factor<4>, blur_px: f64) -> Matrix {
         let mut sums = [[Sum::default(); 5]; 5];
         let mut with_weight = [[Sum::default(); 4]; 5];
@@ -383,8 +383,8 @@ impl Window {
         matrix
     }
 
-    /// How the parameters times the contrast, and the contrast, answer to every pixel: the step of `matrix` with the levels
-    /// following. Cell by cell, after what `out` has.
+    /// Sensitivity to every pixel of the parameters times the contrast, and of the contrast: the step of
+    /// `matrix` with the levels eliminated. Appended to `out` cell by cell.
     pub fn answers(&self, matrix: &Factor<5>, levels: &Factor<4>, out: &mut Vec<Answers>) {
         let unit = |len: usize, axis: usize| move |k: usize| f64::from(u8::from(k == axis && k < len));
         let rows: [[f32; 5]; 5] = core::array::from_fn(|axis| {
@@ -421,7 +421,7 @@ impl Window {
         }
     }
 
-    /// What answers to the levels.
+    /// Applies the sensitivities to the levels.
     pub fn sum_answers(&self, answers: &[Answers]) -> [f64; ANSWERS] {
         let mut sums = [Sum::default(); ANSWERS];
         for (cell, Answers(answers)) in self.cells.iter().zip(answers) {
@@ -430,7 +430,8 @@ impl Window {
         sums.each_ref().map(Sum::total)
     }
 
-    /// Calls with each pixel's place and how the centre answers to it, px per grey level at a contrast of 1.
+    /// Calls `each` with each pixel's position and the centre's sensitivity, px per grey level at a
+    /// contrast of 1.
     pub fn each_answer(&self, answers: &[Answers], mut each: impl FnMut([i32; 2], DVec2)) {
         for (cell, Answers([x, y, ..])) in self.cells.iter().zip(answers) {
             for lane in (0..WIDTH).filter(|&lane| cell.one[lane] > 0.0) {
@@ -440,7 +441,7 @@ impl Window {
         }
     }
 
-    /// The weighted residuals at these levels.
+    /// Weighted residuals at these levels.
     pub fn pull(&mut self, levels: &Levels) -> Pull {
         let [ground, along, across, contrast] =
             [levels.ground, levels.slope.x, levels.slope.y, levels.contrast].map(|level| level as f32);

@@ -1,4 +1,4 @@
-//! The profile of a blurred edge, and the weights that locate a disc best in the image's noise.
+//! Profile of a blurred edge, and the optimal weights for locating a disc in the image's noise.
 
 use super::bessel::Bessel;
 use super::lanes::{Lanes, WIDTH};
@@ -8,7 +8,7 @@ use alloc::boxed::Box;
 use alloc::vec::Vec;
 use core::f64::consts::{FRAC_1_SQRT_2, TAU};
 
-/// Integrals across a straight edge, over the distance in px: weight times slope, weight, weight times share.
+/// Integrals across a straight edge over the distance in px: weight times slope, weight, weight times share.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Across {
     pub slope: f64,
@@ -16,31 +16,32 @@ pub(super) struct Across {
     pub inside: f64,
 }
 
-/// Nodes per unit of distance over blur. Half a step off a node, the profile by its tangent is right to
+/// Nodes per unit of distance over blur. Half a step off a node, the tangent is accurate to
 /// 1 / 128² / 2 · 0.24 = 7e-6 of the contrast.
 const PER_UNIT: usize = 64;
 /// Distances over blur beyond which the profile is flat: Φ(-8) = 1e-15.
 const REACH: usize = 8;
 const NODES: usize = 2 * REACH * PER_UNIT;
-/// Nodes for one cosine sum of the weights, which are smooth, and linear in between.
+/// Nodes per cosine sum of the weights, which are smooth; linear in between.
 const COARSE: usize = 8;
-/// Least number of frequencies of that sum, up to [`HIGHEST`] over blur, where the edge has e^-12.5 of its contrast left.
+/// Least number of frequencies of that sum, up to [`HIGHEST`] over blur, where e^-12.5 of the edge's
+/// contrast is left.
 const FREQUENCIES: usize = 48;
 const HIGHEST: f64 = 5.0;
-/// Radius over blur from which on an edge counts as straight.
+/// Radius over blur above which an edge counts as straight.
 const STRAIGHT: f64 = 24.0;
-/// Distances over blur beyond twice the radius at which the sum may repeat itself.
+/// Distance over blur, beyond twice the radius, at which the sum may repeat.
 const PERIOD: f64 = 44.0;
 /// Frequencies for the straightest edge.
 const MAX_FREQUENCIES: usize = (HIGHEST * (2.0 * STRAIGHT + PERIOD) / TAU) as usize + 1;
 
-/// Noise that is assumed at all frequencies, over that at the lowest: in grain alone the weights would swing ever more
-/// between neighbouring pixels, and the fit would not settle.
+/// Least assumed noise spectrum relative to that at frequency zero. With grain alone the weights would
+/// oscillate between neighbouring pixels, and the fit would not converge.
 const MIN_SHARE: f64 = 0.03;
 
-/// What an edge does at one distance z (in units of the blur, positive outside): Φ(-z), the share of the dot's contrast;
-/// φ(z), how fast that falls with z; the weight of a residual in the sum that moves the edge, 1 / levels² / px. The
-/// fourth makes it 16 bytes.
+/// Edge values at one distance z (in units of the blur, positive outside): Φ(-z), the share of the dot's
+/// contrast; φ(z), its decrease with z; the weight of a residual in the sum that moves the edge,
+/// 1 / levels² / px. The fourth entry pads to 16 bytes.
 type Node = [f32; 4];
 
 /// Profile and weights over the distance from an edge.
@@ -69,22 +70,22 @@ impl Edge {
         }
     }
 
-    /// Chooses the weights for the outline of a disc of this radius and blur in this noise: in frequencies, the disc's slope
-    /// over the spectrum of the noise (the matched filter of a disc alone on the gel). In white noise that is least squares;
-    /// in grain the weights are negative on both sides of the edge, so that every stretch of it is judged against the levels
-    /// beside it.
+    /// Chooses the weights for the outline of a disc of this radius and blur in this noise. In the
+    /// frequency domain they are the disc's slope over the noise spectrum (the matched filter of a single
+    /// disc on the gel). In white noise that is least squares. In grain the weights are negative on both
+    /// sides of the edge, so that every stretch of it is compared with the levels beside it.
     ///
     /// With the disc's transform 2 pi r J1(kr) / k, the weight at a distance p from the centre is
-    /// r ∫ k J1(kp) J1(kr) e^(-k² b² / 2) / S(k) dk, which times the direction's cosine and sine locates the centre best. For
-    /// a long straight edge that is the integral of cos(k (p - r)); a dot's grain is not small beside its radius, and the
-    /// straight edge's weights cost 2 % of precision.
+    /// r ∫ k J1(kp) J1(kr) e^(-k² b² / 2) / S(k) dk; times the direction's cosine and sine it locates the
+    /// centre best. For a long straight edge that is the integral of cos(k (p - r)). A dot's grain is not
+    /// small relative to its radius, and the straight edge's weights would cost 2 % of precision.
     pub fn weigh(&mut self, blur_px: f64, radius_px: f64, noise: &Noise) {
         let radius = (radius_px / blur_px).clamp(1.0, STRAIGHT);
         let count =
             FREQUENCIES.max(ceil(HIGHEST * (2.0 * radius + PERIOD) / TAU) as usize).min(MAX_FREQUENCIES);
         let step = HIGHEST / count as f64;
         let least = MIN_SHARE * noise.spectrum(0.0);
-        // Weight of every frequency, of its square in the slope, and how much sharper it makes the edge.
+        // Weight of every frequency; sums for the slope and for its mean square frequency.
         let mut heights = [0.0; MAX_FREQUENCIES];
         let (mut slopes, mut bends) = (0.0, 0.0);
         for (n, height) in (1..=count).zip(&mut heights) {
@@ -100,21 +101,21 @@ impl Edge {
         for (j, weight) in self.coarse.iter_mut().enumerate() {
             let from_centre = radius + j as f64 / COARSE as f64 - REACH as f64;
             let rate = step * from_centre;
-            // Beyond the centre lies the other side.
+            // Negative distances are on the other side of the centre.
             *weight =
                 (1..=count).zip(&heights).map(|(n, height)| height * self.bessel.j1(n as f64 * rate)).sum();
         }
         self.spread(blur_px);
     }
 
-    /// Chooses the weights of least squares, for white noise: the slope of the profile.
+    /// Chooses the least-squares weights for white noise: the slope of the profile.
     pub fn weigh_alike(&mut self, blur_px: f64) {
         for node in self.nodes.iter_mut() {
             node[2] = node[1] / blur_px as f32;
         }
     }
 
-    /// Weights between those of the coarse nodes, and their integrals.
+    /// Interpolates the weights between the coarse nodes and integrates them.
     fn spread(&mut self, blur_px: f64) {
         let mut across = Across::default();
         const PER: usize = PER_UNIT / COARSE;
@@ -131,7 +132,8 @@ impl Edge {
         self.across = Across { slope: slope * per_node, weight: weight * px, inside: inside * px };
     }
 
-    /// Mean square of the edge's angular frequencies, each with its weight in the step, 1/px²: 1 / (2 b²) in white noise.
+    /// Mean square of the edge's angular frequencies, weighted as in the step, 1/px²: 1 / (2 b²) in white
+    /// noise.
     pub const fn curvature_per_px2(&self) -> f64 {
         self.curvature_per_px2
     }
@@ -141,10 +143,10 @@ impl Edge {
         &self.across
     }
 
-    /// Nodes next to these distances, px, and how far off they are over the blur.
+    /// Nodes nearest to these distances, px, and the remaining offsets over blur.
     #[inline]
     pub fn find(distance: &Lanes, per_blur: f32, place: &mut [u32; WIDTH], off: &mut Lanes) {
-        // 2^23: a sum with it is rounded to an integer, which stands in its lowest bits.
+        // 2^23: adding it rounds to an integer, which is in the lowest bits.
         const ROUND: f32 = 8_388_608.0;
         let limit = REACH as f32 - 0.02;
         for k in 0..WIDTH {
@@ -158,7 +160,7 @@ impl Edge {
         }
     }
 
-    /// Shares, how they fall with the distance over the blur, and weights: of the nodes, but shares with their tangents.
+    /// Shares (with tangents), their decrease with distance over blur, and weights of the nodes.
     #[inline]
     pub fn look_up(&self, place: &[u32; WIDTH], off: &Lanes, [inside, density, weight]: [&mut Lanes; 3]) {
         for k in 0..WIDTH {

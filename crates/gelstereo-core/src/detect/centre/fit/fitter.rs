@@ -1,4 +1,4 @@
-//! The fit of one marker, with what is common to the markers of its image.
+//! Fit of one marker, using what is common to the markers of its image.
 
 use super::contour;
 use super::disc::{Levels, Matrix, Outline, Window};
@@ -14,34 +14,36 @@ use crate::math::{Factor, abs, round, sqrt};
 use crate::params::DetectParams;
 use core::f64::consts::FRAC_1_PI;
 
-/// Gel around the outline that takes part: farther pixels say nothing of the edge and little of the light.
+/// Width of gel around the outline that is used: farther pixels carry no information on the edge and
+/// little on the light.
 pub(super) const REACH_PX: f64 = 3.5;
-/// The least of it: the edge's outer half.
+/// Least width: the outer half of the edge.
 const MIN_REACH_PX: f64 = 1.0;
-/// Steps at most; two are the rule.
+/// Largest number of steps; two are usual.
 const MAX_STEPS: usize = 8;
-/// Where the search begins: a pixel's own width and a little defocus.
+/// Initial blur: a pixel's own width and a little defocus.
 pub(super) const FIRST_BLUR_PX: f64 = 0.8;
-/// Residuals larger than this times what the noise explains widen the covariance: below, it is chance and the profile's
-/// small faults, which cost the centre nothing.
+/// Residuals above this multiple of the expected noise widen the covariance. Smaller ones are chance and
+/// small errors of the profile, which do not affect the centre.
 const CHANCE: f64 = 3.0;
-/// Squared residuals so much larger beside a light's reflection are of the reflection, and so is the fit. On the path-traced
-/// images for work 3 doubts more that are right to 0.02 px; 12 and 30 do as well.
+/// Squared residuals above this multiple, beside a light's reflection, mean that the reflection was
+/// fitted. On the path-traced working images, 3 rejects more fits that are accurate to 0.02 px; 12 and 30
+/// work equally well.
 const NOT_A_DISC: f64 = 30.0;
-/// Shares of the covariance that are believed.
+/// Limits of the covariance inflation.
 const MIN_INFLATION: f64 = 0.5;
 const MAX_INFLATION: f64 = 10.0;
-/// A step of the outline that is shorter leaves the model's slopes as they are.
+/// After a shorter step of the outline, the model's slopes are reused.
 const SAME_SLOPES_PX: f64 = 0.25;
-/// A step that moves the outline by less leaves its shape as it is.
+/// A step that moves the outline by less leaves its shape unchanged.
 const SAME_SHAPE_PX: f64 = 0.15;
-/// Steps by the integral along the outline, and the least radius of curvature that the outline may have for it, in blurs.
+/// Number of steps with the integral along the outline, and the least radius of curvature for it, in blurs.
 const QUICK_STEPS: usize = 2;
 const STRAIGHT_BLURS: f64 = 2.0;
-/// Radii of windows that differ by less are alike.
+/// Window radii that differ by less count as equal.
 const LIKE_USUAL_PX: f64 = 0.5;
 
-/// Fits single markers. What the image's markers have in common is learned elsewhere.
+/// Fits single markers. What the image's markers have in common is learned in `learn`.
 #[derive(Clone, Debug)]
 pub(super) struct Fitter {
     pub given_blur_px: Option<f64>,
@@ -51,26 +53,26 @@ pub(super) struct Fitter {
     pub window: Window,
     pub noise: Noise,
     pub blur_px: f64,
-    /// Fitted radius less that of the start, median over the samples.
+    /// Fitted radius minus that of the start, median over the samples.
     pub radius_off_px: f64,
     /// Contrast of the samples, grey levels.
     pub contrast: f64,
-    /// Variance of a coordinate by sampling.
+    /// Variance of a coordinate due to sampling.
     pub sampling_px2: f64,
     pub template: Template,
-    /// Variance of a centre over the inverse information, for a variance of 1 of white noise and of grain: the sandwich
-    /// J⁻¹ K J⁻¹ over J⁻¹ (Huber 1967), for the weights are those of a straight edge without end in the light of the
-    /// samples.
+    /// Variance of a centre over the inverse information, per unit variance of white noise and of grain:
+    /// the sandwich J⁻¹ K J⁻¹ over J⁻¹ (Huber 1967), since the weights are those of an ideal edge in the
+    /// light of the samples.
     pub sandwich: Variances,
-    /// Square roots of the normal matrix's diagonal over that of the integral along the outline; `None` when no sample's
-    /// outline is straight enough for it.
+    /// Square roots of the ratios of the normal matrix's diagonal to that of the integral along the
+    /// outline; `None` if no sample's outline is straight enough.
     pub over_contour: Option<[f64; 5]>,
 }
 
 impl Fitter {
-    /// With these settings.
+    /// Creates the fitter from the settings.
     pub fn new(params: &DetectParams) -> Self {
-        // Twice the reach beyond the longer axis of the largest marker, twice as long as the other.
+        // Twice the reach beyond the longer axis of the largest marker, which is twice the shorter axis.
         let longest_px = sqrt(8.0 * FRAC_1_PI * f64::from(params.max_area_px2));
         let most_side_px = (longest_px + 4.0 * REACH_PX) as usize;
         Self {
@@ -90,8 +92,8 @@ impl Fitter {
         }
     }
 
-    /// Fits one marker with the noise and blur last learned. `None` when the fit does not settle, or not on a disc like
-    /// the start's, and where a light's reflection is part of what it fitted.
+    /// Fits one marker with the noise and blur last learned. `None` if the fit does not converge,
+    /// converges to a disc unlike the start's, or includes a light's reflection.
     pub fn run(&mut self, image: GrayView<'_>, start: &Start) -> Option<Fitted> {
         let (pixels, mut outline) = self.begin(image, start)?;
         let offset = start.centre_px - self.window.origin;
@@ -99,8 +101,8 @@ impl Fitter {
         for steps in 1..=MAX_STEPS {
             self.window.draw(&outline, self.blur_px, &self.edge);
             let (levels, follow) = self.window.levels()?;
-            // A matrix serves until the outline has moved much (chord method): it decides how fast the steps end, not
-            // where.
+            // The matrix is reused until the outline has moved much (chord method). It affects the rate
+            // of convergence, not the result.
             let factor = match last.filter(|&(_, moved)| moved <= SAME_SLOPES_PX && steps != QUICK_STEPS + 1)
             {
                 Some((factor, _)) => factor,
@@ -133,7 +135,7 @@ impl Fitter {
         None
     }
 
-    /// Loads the marker's pixels; their number, and the outline before the first step.
+    /// Loads the marker's pixels; returns their number and the outline before the first step.
     fn begin(&mut self, image: GrayView<'_>, start: &Start) -> Option<(usize, Outline)> {
         let usual_px = self.template.radius_px();
         if abs(self.window_px(start) - usual_px) <= LIKE_USUAL_PX && start.centre_px.is_finite() {
@@ -157,13 +159,13 @@ impl Fitter {
         (white * white_levels2 + grain * grain_levels2).clamp(MIN_INFLATION, MAX_INFLATION)
     }
 
-    /// The covariance with what the noise adds to it in second order, and with what sampling adds.
+    /// Adds the second-order noise term and the sampling term to the covariance.
     ///
-    /// Noise also bends the level's slope across the edge, so that a stretch of outline that is displaced by u is pulled by
-    /// too much or too little: the step's error grows by M⁻¹ Σ B n u, of variance 1 + <u²> <k²> times that of the step (B
-    /// the displacements by each parameter, M = Σ B Bᵀ, n the noise of the second derivative, whose variance is <k²> times
-    /// that of the first). Terms of third order cancel. The mean <u²> of an outline with five parameters, by its trace, is 5/4 of
-    /// that of the centre.
+    /// Noise also bends the level's slope across the edge, so that a stretch of outline displaced by u is
+    /// pulled too much or too little. The step's error grows by M⁻¹ Σ B n u, of variance 1 + <u²> <k²> times
+    /// that of the step. B are the displacements by each parameter, M = Σ B Bᵀ, and n is the noise of the
+    /// second derivative, whose variance is <k²> times that of the first. Third-order terms cancel. By its
+    /// trace, the mean <u²> of an outline with five parameters is 5/4 of that of the centre.
     fn of_second_order(&self, covariance_px2: Symmetric<2>) -> Symmetric<2> {
         let displaced_px2 = 1.25 * (covariance_px2[0][0] + covariance_px2[1][1]);
         let more = 1.0 + displaced_px2 * self.edge.curvature_per_px2();
@@ -171,8 +173,8 @@ impl Fitter {
         [[xx + self.sampling_px2, xy], [xy, yy + self.sampling_px2]]
     }
 
-    /// Factor of the normal matrix: by the integral along the outline, or pixel by pixel where the outline bends within a
-    /// blur, or where steps by the former did not settle.
+    /// Factor of the normal matrix: from the integral along the outline, or pixel by pixel if the outline
+    /// bends within a blur or steps with the integral did not converge.
     fn factor(
         &self,
         outline: &Outline,
@@ -186,7 +188,7 @@ impl Fitter {
         quick.or_else(|| Factor::new(&self.window.matrix(follow, self.blur_px)))
     }
 
-    /// The integral along the outline.
+    /// Normal matrix by the integral along the outline.
     pub(super) fn along(&self, outline: &Outline, levels: &Levels, follow: &Factor<4>) -> Option<Matrix> {
         contour::matrix(outline, self.edge.across(), levels, follow)
     }
@@ -196,13 +198,13 @@ impl Fitter {
         outline.sharpest_px().is_some_and(|radius| radius >= self.blur_px * STRAIGHT_BLURS)
     }
 
-    /// The start's ellipse with the radius that this image's fits came to.
+    /// The start's ellipse, scaled by the radius correction of this image.
     fn grown(&self, start: &Start) -> Symmetric<2> {
         let scale = (1.0 + self.radius_off_px / start.radius_px()).clamp(0.5, 2.0);
         start.spread_px2.map(|row| row.map(|entry| entry * scale * scale))
     }
 
-    /// Loads the pixels that belong to this marker alone; their number, if it suffices.
+    /// Loads the pixels that belong to this marker only; returns their number if sufficient.
     pub(super) fn load(&mut self, image: GrayView<'_>, start: &Start) -> Option<usize> {
         let radius_px = self.window_px(start);
         if !(2.0 * radius_px + 1.0 <= self.most_side_px as f64 && start.centre_px.is_finite()) {
@@ -212,15 +214,15 @@ impl Fitter {
         Some(self.window.load(image, start.centre_px, radius_px)).filter(|&pixels| pixels >= 20)
     }
 
-    /// How far they reach from its centre.
+    /// Radius of the window of pixels around its centre.
     pub(super) fn window_px(&self, start: &Start) -> f64 {
         let [[xx, xy], [_, yy]] = start.spread_px2;
         let mean = 0.5 * (xx + yy);
         let longest = sqrt(mean + sqrt((mean * mean - (xx * yy - xy * xy)).max(0.0)));
-        // A neighbour of the same size begins at its radius, with its own blur around.
+        // A neighbour of the same size begins at its radius, surrounded by its own blur.
         let gap = start.neighbour_px - 2.0 * longest - 1.5 * self.blur_px;
         let reach = (REACH_PX + self.blur_px - FIRST_BLUR_PX).max(REACH_PX).min(gap).max(MIN_REACH_PX);
-        // Markers alike share one window's places.
+        // Rounded so that similar markers share one window's positions.
         round(2.0 * (longest + reach)) * 0.5
     }
 }

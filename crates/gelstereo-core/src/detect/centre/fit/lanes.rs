@@ -1,5 +1,5 @@
-//! Pixels by the 32. Loops over them are plain, and long enough that the compiler turns each into vector instructions instead
-//! of unrolling it first; single precision suffices, for sums over a window keep 1e-6 of the contrast.
+//! Groups of 32 pixels. Loops over them are plain, and long enough that the compiler vectorises each instead
+//! of unrolling it first. Single precision suffices: sums over a window keep 1e-6 of the contrast.
 
 use core::ops::{Index, IndexMut};
 
@@ -48,8 +48,8 @@ impl Sum {
         }
     }
 
-    /// The whole. Not inlined, or else the compiler turns the sums of several totals into vectors across them, and shuffles
-    /// every product for it.
+    /// Total of the running sums. Not inlined: otherwise the compiler vectorises across several totals
+    /// and shuffles every product.
     #[inline(never)]
     pub fn total(&self) -> f64 {
         let [a, b, c, d, e, f, g, h] = self.0.map(f64::from);
@@ -57,8 +57,8 @@ impl Sum {
     }
 }
 
-/// 1 / sqrt(x) for normal x > 0, to 5e-6: a first guess by halving the exponent, then Newton's method, which unlike the
-/// square root is vectorised without unsafe code.
+/// 1 / sqrt(x) for normal x > 0, to 5e-6: initial guess by halving the exponent, then Newton's method.
+/// Unlike the square root, it is vectorised without unsafe code.
 #[inline]
 pub(super) fn inverse_root(x: f32) -> f32 {
     let half = x * 0.5;

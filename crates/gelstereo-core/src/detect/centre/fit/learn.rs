@@ -1,4 +1,4 @@
-//! What the markers of an image have in common: noise, blur, and what the covariance must allow for.
+//! Estimates what the markers of an image have in common: noise, blur and corrections of the covariance.
 
 use super::contour;
 use super::disc::{Answers, Matrix, Outline};
@@ -18,23 +18,24 @@ use core::f64::consts::PI;
 /// Markers from which an image's blur is estimated, spread evenly over the list, and rounds.
 const SAMPLES: usize = 15;
 const ROUNDS: usize = 4;
-/// So many where the noise is strong.
+/// Number of samples if the noise is strong.
 const MORE_SAMPLES: usize = 4 * SAMPLES;
-/// Standard error of the blur, over the blur, from which on there are more: variances go with the blur's power 0.8 in
-/// white noise to 2.3 in grain, so that they are right to 3 %, the 95 % band of two thousand markers.
+/// Relative standard error of the blur above which more samples are used. Variances scale with the blur
+/// to the power 0.8 in white noise to 2.3 in grain, so they are then accurate to 3 %, the 95 % band of
+/// two thousand markers.
 const LARGEST_BLUR_ERROR: f64 = 0.013;
-/// Blurs that are believed.
+/// Range of accepted blurs.
 const BLURS_PX: core::ops::RangeInclusive<f64> = 0.35..=5.0;
-/// Samples over which the covariance is calibrated: one alone is a few percent off.
+/// Samples for calibrating the covariance; a single one is a few percent off.
 const INFLUENCES: f64 = 5.0;
-/// Blurs, and least and most pixels, between a marker's pixels and the gel of which the noise is measured: at 3.5
-/// blurs from its outline 0.02 % of a marker's contrast is left.
+/// Distance from a marker's pixels of the gel used for the noise, in blurs, and its limits in pixels. At
+/// 3.5 blurs from the outline 0.02 % of a marker's contrast is left.
 const CLEAR_BLURS: f64 = 3.5;
 const CLEAR_PX: (f64, f64) = (2.0, 4.0);
-/// Ratios of the normal matrix to the integral along the outline for which the latter is believed.
+/// Ratios of the normal matrix to the integral along the outline for which the latter is accepted.
 const OVER_CONTOUR: core::ops::RangeInclusive<f64> = 0.7..=1.4;
 
-/// A marker of which the blur is learned.
+/// Marker from which the blur is learned.
 #[derive(Clone, Copy, Debug)]
 struct Sample {
     start: Start,
@@ -46,7 +47,7 @@ struct Sample {
     alive: bool,
 }
 
-/// Markers of an image that are learned from, and scratch.
+/// Sample markers of an image, and scratch.
 #[derive(Clone, Debug)]
 pub(super) struct Learner {
     samples: Vec<Sample>,
@@ -69,7 +70,7 @@ impl Learner {
         }
     }
 
-    /// Makes room for images of so many markers.
+    /// Reserves memory for images of at most `most` markers.
     pub fn reserve(&mut self, most: usize) {
         self.centres_px.clear();
         self.centres_px.reserve(most);
@@ -82,7 +83,7 @@ impl Learner {
         self.take_samples(fit, starts, SAMPLES);
         self.answers.clear();
         self.answers.reserve(MAX_PIXELS.div_ceil(WIDTH));
-        // Least squares will do for what is common to all.
+        // Least-squares weights suffice for the common parameters.
         let radius_px = self.median_of(|sample| Some(sample.start.radius_px()));
         fit.edge.weigh_alike(fit.blur_px);
         if self.learn_blur(fit, image) > LARGEST_BLUR_ERROR * fit.blur_px && starts.len() > MORE_SAMPLES {
@@ -117,7 +118,7 @@ impl Learner {
         }
     }
 
-    /// Of the samples' outlines.
+    /// Median spread of the samples' outlines.
     fn usual_spread_px2(&mut self) -> Option<Symmetric<2>> {
         let mut entry =
             |i: usize, j: usize| self.median_of(|sample| Some(sample.outline.spread_px2()?[i][j]));
@@ -137,7 +138,7 @@ impl Learner {
         }
     }
 
-    /// Learns the blur by rounds; its standard error, px, 0 for one that is given.
+    /// Learns the blur iteratively; returns its standard error, px, 0 if the blur is configured.
     fn learn_blur(&mut self, fit: &mut Fitter, image: GrayView<'_>) -> f64 {
         let mut error_px = 0.0;
         for _ in 0..ROUNDS {
@@ -166,7 +167,7 @@ impl Learner {
         median(&mut self.scratch).unwrap_or(0.0)
     }
 
-    /// Moves one sample's outline and says by how much more blur would fit it better.
+    /// Moves one sample's outline and returns the blur increment that would fit it better.
     fn sample_step(&mut self, fit: &mut Fitter, image: GrayView<'_>, k: usize) -> Option<f64> {
         let Sample { start, mut outline, alive, .. } = self.samples[k];
         if !alive {
@@ -187,7 +188,8 @@ impl Learner {
         self.samples[k].alive.then_some(wider_px)
     }
 
-    /// Measures variances of some samples' centres over what the inverse information says, taken as the fit takes it.
+    /// Measures the variances of some samples' centres relative to the inverse information, as used by
+    /// the fit.
     fn measure_sandwich(&mut self, fit: &mut Fitter, image: GrayView<'_>) {
         let mut sums = Variances::default();
         let (mut count, mut straight, mut ratios) = (0.0, 0.0, [0.0; 5]);
@@ -213,7 +215,8 @@ impl Learner {
         };
     }
 
-    /// The sample's part of both, and the normal matrix's diagonal over that of the integral.
+    /// The sample's contribution to both, and the ratio of the normal matrix's diagonal to that of the
+    /// integral.
     fn sandwich_of(
         &mut self,
         fit: &mut Fitter,
@@ -232,7 +235,7 @@ impl Learner {
         let quick = fit.is_straight(&outline).then(|| fit.along(&outline, &levels, &follow)).flatten();
         let over = quick.and_then(|quick| over_contour(&matrix, &quick));
         let factor = Factor::new(&matrix)?;
-        // What the fit will say of such a marker.
+        // Factor that the fit will use for such a marker.
         let said = match (&quick, &over) {
             (Some(quick), Some(over)) => Factor::new(&contour::scaled(quick, over))?,
             _ => factor,
@@ -251,13 +254,14 @@ impl Learner {
     }
 }
 
-/// The blur with what outlines took of it that follow the noise.
+/// Blur corrected for the part absorbed by outlines that follow the noise.
 ///
-/// Outlines a little off make an edge wider in the mean, by their mean square displacement <u²> = 5 σ² b /
-/// (sqrt(π) r C²) (five parameters of a circle's outline, by least squares). But these were fitted to the same
-/// noise, and in second order leave b² - <u²>: the blur's derivative is b times the second one across the edge, so
-/// that the score of b has the mean -<u²> / (2 b) times its information (the bias of a parameter that many others
-/// hide, Neyman and Scott 1948). σ² is the spectrum of the noise at the edge's mean square frequency 1 / (2 b²).
+/// Outlines that are slightly off widen an edge on average, by their mean square displacement
+/// <u²> = 5 σ² b / (sqrt(π) r C²) (five parameters of a circle's outline, by least squares). These were
+/// fitted to the same noise, which to second order leaves b² - <u²>. The blur's derivative is b times the
+/// second derivative across the edge, so the score of b has the mean -<u²> / (2 b) times its information
+/// (bias from many nuisance parameters, Neyman and Scott 1948). σ² is the noise spectrum at the edge's
+/// mean square frequency 1 / (2 b²).
 fn unexplained_blur_px(fit: &Fitter, radius_px: f64) -> f64 {
     let (blur2, contrast2) = (fit.blur_px * fit.blur_px, fit.contrast * fit.contrast);
     let noise_levels2 = fit.noise.spectrum(0.5 / blur2);
@@ -266,7 +270,8 @@ fn unexplained_blur_px(fit: &Fitter, radius_px: f64) -> f64 {
     sqrt(blur2 + displaced_px2.min(blur2)).clamp(*BLURS_PX.start(), *BLURS_PX.end())
 }
 
-/// Square roots of the normal matrix's diagonal over that of the integral, where the latter is believed.
+/// Square roots of the ratios of the normal matrix's diagonal to that of the integral, if the latter is
+/// accepted.
 fn over_contour(matrix: &Matrix, quick: &Matrix) -> Option<[f64; 5]> {
     let over: [f64; 5] = core::array::from_fn(|i| matrix[i][i] / quick[i][i]);
     over.iter().all(|over| OVER_CONTOUR.contains(over)).then(|| over.map(sqrt))

@@ -1,10 +1,11 @@
-//! Centres by a model of the whole marker: a blurred disc, tilted into an ellipse, on ground whose light slopes.
+//! Centres from a model of the whole marker: a blurred disc, tilted into an ellipse, on ground with a
+//! light slope.
 //!
-//! Nine parameters per marker (centre, ellipse, contrast, ground, its two slopes), and for the whole image the blur, the
-//! noise and the grain. Gauss-Newton steps move the outline until the residuals, weighted for the image's noise along the
-//! edge, balance; the first step is a linear filter that is the same for all markers. In white noise that is least squares; in
-//! grain, which makes neighbouring pixels alike, least squares would be half as precise again as the bound (Kay,
-//! Estimation Theory, section 4.5: whitened residuals).
+//! Nine parameters per marker (centre, ellipse, contrast, ground, its two slopes), and blur, noise and grain
+//! for the whole image. Gauss-Newton steps move the outline until the residuals, weighted for the image's
+//! noise along the edge, balance. The first step is a linear filter common to all markers. In white noise
+//! that is least squares. In grain, which correlates neighbouring pixels, the errors of least squares would
+//! be half as large again as the bound (Kay, Estimation Theory, section 4.5: whitened residuals).
 
 mod bessel;
 mod contour;
@@ -36,10 +37,10 @@ use learn::Learner;
 
 /// Least search radius for neighbours.
 const MIN_FAR_PX: f64 = 2.0 + REACH_PX + 4.0 * FIRST_BLUR_PX;
-/// Standard deviation of a grey centroid over the bound, where the fit did not settle.
+/// Standard deviation of an intensity-weighted centroid over the bound, if the fit did not converge.
 const UNFITTED: f64 = 4.0;
 
-/// The fit of all markers of an image, and its scratch.
+/// Fit of all markers of an image, with its scratch.
 #[derive(Clone, Debug)]
 pub struct DiscFit {
     fitter: Fitter,
@@ -47,14 +48,14 @@ pub struct DiscFit {
     weighted: WeightedCentroid,
     variance_px2: f64,
     starts: Vec<Start>,
-    /// Indices of those of the last image that did not fit.
+    /// Indices of the last image's markers that were not fitted.
     unfitted: Vec<u32>,
     grid: Grid,
     centres_px: Vec<DVec2>,
 }
 
 impl DiscFit {
-    /// With these settings.
+    /// Creates the rung from its settings.
     #[must_use]
     pub fn new(params: &DetectParams) -> Self {
         Self {
@@ -69,7 +70,7 @@ impl DiscFit {
         }
     }
 
-    /// Noise of the last image that was learned.
+    /// Noise of the last image learned.
     #[must_use]
     pub const fn noise(&self) -> Noise {
         self.fitter.noise
@@ -87,14 +88,14 @@ impl DiscFit {
         self.learner.learn(&mut self.fitter, image, mask, starts);
     }
 
-    /// Fits one marker with the noise and blur last learned. `None` when the fit does not settle, or not on a disc like
-    /// the start's, and where a light's reflection is part of what it fitted.
+    /// Fits one marker with the noise and blur last learned. `None` if the fit does not converge,
+    /// converges to a disc unlike the start's, or includes a light's reflection.
     #[must_use]
     pub fn run(&mut self, image: GrayView<'_>, start: &Start) -> Option<Fitted> {
         self.fitter.run(image, start)
     }
 
-    /// Forgets the markers of the last image; `most` is how many there can be.
+    /// Clears the markers of the last image and reserves memory for `most`.
     fn clear(&mut self, most: usize) {
         self.starts.clear();
         self.starts.reserve(most);
@@ -103,13 +104,14 @@ impl DiscFit {
         self.learner.reserve(most);
     }
 
-    /// Takes note of a marker whose approximate centre and spread ([`Blob::spread_px2`]) are known.
+    /// Adds a marker with its approximate centre and spread ([`Blob::spread_px2`]).
     fn add(&mut self, centre_px: DVec2, spread_px2: Symmetric<2>) {
         self.starts.push(Start { centre_px, spread_px2, neighbour_px: f64::INFINITY });
     }
 
-    /// Fits the markers noted, which `markers` lists in the same order, and replaces centre and covariance where that
-    /// succeeds. `others_px` are the centres of all components of the image's `mask`, for neighbours keep their pixels.
+    /// Fits the added markers, which `markers` lists in the same order, and replaces centre and
+    /// covariance on success. `others_px` are the centres of all components of the image's `mask`, since
+    /// pixels of neighbours are excluded.
     fn finish(
         &mut self,
         image: GrayView<'_>,
@@ -141,7 +143,7 @@ impl DiscFit {
     fn find_neighbours(&mut self, image: GrayView<'_>, others_px: impl Iterator<Item = DVec2>) {
         let Self { starts, grid, centres_px, .. } = self;
         let widest = starts.iter().map(Start::radius_px).fold(1.0, f64::max);
-        // Beyond this a neighbour takes no pixel away.
+        // A neighbour farther away takes no pixels.
         let far_px = 2.0 * widest + REACH_PX + 4.0 * FIRST_BLUR_PX;
         centres_px.clear();
         let most = Most::of(image.width(), image.height()).kept;
@@ -195,13 +197,13 @@ impl CentreRung for DiscFit {
         self.variance_px2
     }
 
-    /// Its residuals tell.
+    /// The fit's residuals reveal reflections.
     fn sees_glare(&self) -> bool {
         true
     }
 }
 
-/// Least variance of a coordinate, px², for the marker that did not fit.
+/// Least variance of a coordinate, px², of a marker that was not fitted.
 fn unfitted_variance_px2(fitter: &Fitter, start: &Start) -> f64 {
     // (sigma / C)² 2 b / (sqrt(pi) r) for white noise.
     let per_contrast2 = fitter.noise.variance_levels2() / (fitter.contrast * fitter.contrast).max(1.0);

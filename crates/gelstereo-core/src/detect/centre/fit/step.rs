@@ -1,4 +1,4 @@
-//! One marker's fit: where it begins, its steps, and what it found.
+//! Fit of one marker: start, steps and result.
 
 use super::disc::{Levels, Outline};
 use crate::math::linalg::Symmetric;
@@ -7,7 +7,7 @@ use crate::math::{DVec2, Factor, sqrt};
 /// Longest step.
 const MAX_PX: f64 = 0.6;
 
-/// Where a fit begins.
+/// Start of a fit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Start {
     /// Approximate centre, pixels.
@@ -36,7 +36,7 @@ pub struct Fitted {
     pub covariance_px2: Symmetric<2>,
     /// Matrix whose eigenvalues are the squares of the semi-axes, px².
     pub spread_px2: Symmetric<2>,
-    /// Level of the dot less that of the gel, grey levels.
+    /// Level of the dot minus that of the gel, grey levels.
     pub contrast_levels: f64,
     /// Steps taken.
     pub steps: usize,
@@ -48,11 +48,12 @@ pub(super) fn step(factor: &Factor<5>, right: &[f64; 5], levels: &Levels) -> Opt
     step.iter().all(|s| s.is_finite()).then_some(step)
 }
 
-/// Takes the step, or as much of it as keeps the model's slopes good for something; how far the outline moves, px.
+/// Applies the step, shortened to the range where the model's slopes are valid; returns the outline's
+/// shift, px.
 pub(super) fn apply(outline: &mut Outline, step: &[f64; 5]) -> f64 {
     let [x, y, form @ ..] = *step;
     let [xx, xy, yy] = outline.form;
-    // r moves by r/2 for each part of A that is added to it, and r² is 2 / trace A for a circle.
+    // r moves by r/2 per relative change of A, and r² is 2 / trace A for a circle.
     let [changed_xx, changed_xy, changed_yy] = form;
     let changed = sqrt(changed_xx * changed_xx + 2.0 * changed_xy * changed_xy + changed_yy * changed_yy);
     let part = changed / sqrt(xx * xx + 2.0 * xy * xy + yy * yy);
@@ -65,7 +66,7 @@ pub(super) fn apply(outline: &mut Outline, step: &[f64; 5]) -> f64 {
     moved_px * share
 }
 
-/// Whether the outline is still about where and as large as it began.
+/// Whether the outline is still near its starting position and size.
 pub(super) fn plausible(start: &Start, moved: DVec2, spread_px2: Option<Symmetric<2>>) -> bool {
     let Some([[xx, xy], [_, yy]]) = spread_px2 else { return false };
     let (area, trace) = (sqrt(xx * yy - xy * xy), xx + yy);
@@ -76,7 +77,7 @@ pub(super) fn plausible(start: &Start, moved: DVec2, spread_px2: Option<Symmetri
         && trace <= 4.25 * area
 }
 
-/// Inverse information of the centre: the outline's other parameters are unknown too.
+/// Inverse information of the centre, with the outline's other parameters unknown.
 pub(super) fn covariance(factor: &Factor<5>, levels: &Levels, inflation: f64) -> Option<Symmetric<2>> {
     let scale = inflation / (levels.contrast * levels.contrast);
     let column = |k: usize| factor.solve(&core::array::from_fn(|i| f64::from(u8::from(i == k))));

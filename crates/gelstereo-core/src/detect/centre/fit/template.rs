@@ -1,9 +1,10 @@
-//! Where a fit begins: one step of the usual marker's outline, with weights that were made once for the image.
+//! Start of a fit: one step from the usual marker's outline, with weights precomputed for the image.
 //!
-//! The markers of an image are alike. The first step of the fit from the usual outline at the nearest of 4 x 4 places within a
-//! pixel is linear in the levels (but for the contrast, by which it is divided), so that its weights serve all markers
-//! (as the template's slopes do in Baker and Matthews, "Lucas-Kanade 20 years on", IJCV 2004, section 3.2). It costs a
-//! tenth of a step with the marker's own outline, and leaves that step a few hundredths of a pixel.
+//! The markers of an image are alike. The first step from the usual outline, at the nearest of 4 x 4
+//! sub-pixel positions, is linear in the levels except for the division by the contrast. Its weights
+//! therefore serve all markers (as the template's slopes do in Baker and Matthews, "Lucas-Kanade 20 years
+//! on", IJCV 2004, section 3.2). It costs a tenth of a step with the marker's own outline, and leaves
+//! that step a few hundredths of a pixel.
 
 use super::disc::{ANSWERS, Answers, Outline, Window};
 use super::edge::Edge;
@@ -13,12 +14,12 @@ use crate::math::linalg::Symmetric;
 use crate::math::{DVec2, Factor, floor};
 use alloc::vec::Vec;
 
-/// Places within a pixel, per axis.
+/// Sub-pixel positions per axis.
 const PLACES: usize = 4;
-/// Larger windows, pixels, have no template: their markers are few.
+/// Larger windows, pixels, have no template: few markers need them.
 const MAX_PIXELS: usize = 512;
 const MAX_CELLS: usize = MAX_PIXELS / WIDTH;
-/// Levels of contrast that are one.
+/// Least contrast, grey levels.
 const MIN_CONTRAST: f64 = 1.0;
 
 /// The usual marker of an image.
@@ -29,7 +30,7 @@ pub(super) struct Template {
     /// Form of its outline.
     form: [f64; 3],
     cells: usize,
-    /// Place by place, cell by cell.
+    /// By sub-pixel position, then by cell.
     answers: Vec<Answers>,
 }
 
@@ -47,7 +48,8 @@ impl Template {
         self.radius_px
     }
 
-    /// For the outline of this spread, with a contrast of so much of the ground's level.
+    /// Computes the weights for an outline of this spread; `per_ground` is the contrast over the ground's
+    /// level.
     pub fn learn(
         &mut self,
         window: &mut Window,
@@ -74,7 +76,8 @@ impl Template {
         (self.radius_px, self.cells) = (radius_px, pixels.div_ceil(WIDTH));
     }
 
-    /// The outline after its first step in the window's pixels, from about this place. `None` where the window is another.
+    /// Outline after its first step, starting near `at`. `None` if the window's extent differs from the
+    /// template's.
     pub fn start(&self, window: &Window, at: DVec2) -> Option<Outline> {
         if !window.is_whole(self.radius_px) {
             return None;
@@ -92,7 +95,7 @@ impl Template {
     }
 }
 
-/// Where a place is from the pixel's middle.
+/// Offset of a sub-pixel position from the pixel's middle.
 fn place_of(place: usize) -> DVec2 {
     let middle = |k: usize| (k as f64 + 0.5) / PLACES as f64 - 0.5;
     DVec2::new(middle(place % PLACES), middle(place / PLACES))
@@ -125,8 +128,8 @@ mod tests {
         (0..side * side).map(|n| level(n % side, n / side)).collect()
     }
 
-    /// Tolerances: what a step leaves is of third order for the centre (0.3 / 0.9)² / 8 of 0.3 px and of second order
-    /// for the radius, 0.3² / 4.2 / 2; rounding adds 0.29 / 120 px.
+    /// Tolerances: the remainder of a step is of third order for the centre, (0.3 / 0.9)² / 8 of 0.3 px,
+    /// and of second order for the radius, 0.3² / 4.2 / 2; rounding adds 0.29 / 120 px.
     #[test]
     fn one_step_finds_discs_that_are_nearly_the_usual_one() {
         let (radius_px, window_px, side) = (4.2, 8.0, 24);

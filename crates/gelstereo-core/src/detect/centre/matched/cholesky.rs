@@ -1,26 +1,26 @@
-//! Symmetric systems for several right sides at once.
+//! Symmetric systems for several right-hand sides at once.
 
 use crate::math::sqrt;
 use alloc::vec::Vec;
 
-/// Products that are summed at a time.
+/// Products summed at a time.
 const LANES: usize = 4;
 
 /// C = L Lᵀ with a lower triangle L (Golub and Van Loan, section 4.2).
 #[derive(Clone, Debug, Default)]
 pub(super) struct Cholesky {
-    /// Rows of L one after the other; the last of each is one over the diagonal.
+    /// Rows of L in sequence; the last entry of each is the reciprocal of the diagonal.
     rows: Vec<f64>,
 }
 
 impl Cholesky {
-    /// Makes room for so many unknowns.
+    /// Reserves memory for this many unknowns.
     pub fn reserve(&mut self, unknowns: usize) {
         self.rows.clear();
         self.rows.reserve(unknowns * (unknowns + 1) / 2);
     }
 
-    /// Of a positive definite matrix, of which only the lower triangle (row, column) is asked for.
+    /// Factors a positive definite matrix; only its lower triangle (row, column) is read.
     pub fn factor(&mut self, unknowns: usize, entry: impl Fn(usize, usize) -> f64) {
         let rows = &mut self.rows;
         rows.clear();
@@ -36,7 +36,7 @@ impl Cholesky {
         }
     }
 
-    /// L⁻¹ b for as many b at once, in place: a row of numbers for every unknown.
+    /// L⁻¹ b for several b at once, in place: one row of numbers per unknown.
     pub fn forward<const N: usize>(&self, right: &mut [[f64; N]]) {
         let mut start = 0;
         for i in 0..right.len() {
@@ -71,7 +71,7 @@ impl Cholesky {
     }
 }
 
-/// Sum of products, in lanes: the order of the sum is fixed, and is one that processors like.
+/// Sum of products in lanes, in a fixed order that vectorises well.
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<LANES>(), b.as_chunks::<LANES>());
     let mut sums = [0.0; LANES];

@@ -1,28 +1,27 @@
-//! Sums of products of levels with weights, in whole numbers. Plain loops, of the kind that compilers turn into vector
-//! instructions.
+//! Integer sums of products of levels with weights, in plain loops that compilers vectorise.
 
 use super::design::MAX_SUPPORT_PX;
 use crate::image::GrayView;
 
-/// The share of a disc is stored with so many fractional bits: its product with a contrast of 255 fits 16 bits.
+/// Fractional bits of the stored share of a disc: its product with a contrast of 255 fits 16 bits.
 pub(super) const SHARE_BITS: u32 = 7;
 
-/// Numbers that are multiplied at once.
+/// Numbers multiplied at once.
 const BLOCK: usize = 32;
-/// Most numbers of a patch.
+/// Largest number of entries of a patch.
 const MOST: usize = (MAX_SUPPORT_PX + 1) * BLOCK;
 
-/// Columns of a patch of this side, with those that fill rows up to whole eights.
+/// Columns of a patch of this side, padded to a multiple of eight.
 pub(super) const fn columns(side: usize) -> usize {
     side.next_multiple_of(8)
 }
 
-/// Numbers of a patch of this side: whole blocks.
+/// Entries of a patch of this side, padded to whole blocks.
 pub(super) const fn numbers(side: usize) -> usize {
     (side * columns(side)).next_multiple_of(BLOCK)
 }
 
-/// Levels of a square of pixels, row by row; what fills up has no weight.
+/// Levels of a square of pixels, row by row; padding has no weight.
 #[derive(Clone, Debug)]
 pub(super) struct Patch {
     levels: [[i16; BLOCK]; MOST / BLOCK],
@@ -36,7 +35,7 @@ impl Default for Patch {
 }
 
 impl Patch {
-    /// Copies the square whose first pixel is `first`; all of it lies within the image.
+    /// Copies the square whose first pixel is `first`; it must lie within the image.
     #[inline]
     pub fn load(&mut self, image: GrayView<'_>, first: (usize, usize), side: usize) {
         match columns(side) {
@@ -69,7 +68,8 @@ impl Patch {
         product(&self.levels, kernel.as_chunks().0)
     }
 
-    /// Σ r and Σ r² of what a disc of this contrast leaves of the levels, over the pixels where the mask is -1.
+    /// Σ r and Σ r² of the residuals after subtracting a disc of this contrast, over the pixels where the
+    /// mask is -1.
     #[inline]
     pub fn residual(&mut self, share: &[i16], mask: &[i16], contrast: i16) -> (i32, i32) {
         let (share, mask) = (share.as_chunks::<BLOCK>().0, mask.as_chunks::<BLOCK>().0);

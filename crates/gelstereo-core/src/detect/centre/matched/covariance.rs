@@ -1,9 +1,10 @@
 //! Covariance of the pixels of a support: w I + g (G ⊗ G) with the grain's G(d) = exp(-d² / (4 l²)).
 //!
-//! A support is its own mirror image, left to right and up and down, and so is the covariance: what is even and what is odd
-//! in either direction have nothing in common (as all functions on which a symmetry acts: Serre, Linear Representations of
-//! Finite Groups, section 2.6). A system of n pixels becomes four of a quarter each, on the pixels of one quadrant, which
-//! take a sixteenth of the products to factor; that of what is odd to the left is that of what is odd upwards, transposed.
+//! A support is symmetric left to right and up and down, and so is the covariance. Parts that are even or
+//! odd in either direction are therefore uncorrelated (as for any functions with a symmetry: Serre,
+//! Linear Representations of Finite Groups, section 2.6). A system of n pixels splits into four of a
+//! quarter each, on the pixels of one quadrant, with a sixteenth of the products to factor. The system
+//! odd in x is that odd in y, transposed.
 
 use super::cholesky::Cholesky;
 use super::support::Support;
@@ -12,8 +13,8 @@ use crate::math::exp;
 use alloc::vec::Vec;
 use core::f64::consts::FRAC_1_SQRT_2;
 
-/// White noise that is assumed over that at the lowest frequency: in grain alone the weights would swing ever more between
-/// neighbouring pixels.
+/// Least assumed white noise relative to the spectrum at frequency zero. With grain alone the weights
+/// would oscillate between neighbouring pixels.
 const MIN_SHARE: f64 = 0.03;
 /// Columns that are summed at a time.
 const LANES: usize = 8;
@@ -21,7 +22,7 @@ const LANES: usize = 8;
 /// Even (0) or odd (1) from left to right, and from top to bottom.
 pub(super) const PARITIES: [[usize; 2]; 4] = [[0, 0], [0, 1], [1, 0], [1, 1]];
 
-/// One of the systems: what is of one parity along one axis and of another, or the same, along the other.
+/// One of the systems, with a given parity along each axis.
 #[derive(Clone, Debug, Default)]
 struct Block {
     /// Distances from the middle along both axes.
@@ -29,11 +30,11 @@ struct Block {
     cholesky: Cholesky,
 }
 
-/// The covariance, and systems with it.
+/// The covariance, and solution of systems with it.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Covariance {
     side: usize,
-    /// G between two distances from the middle of the same axis, for what is even and for what is odd.
+    /// G between two distances from the middle along one axis, for even and for odd parts.
     between: [Vec<f64>; 2],
     /// Even and even, even and odd, odd and odd.
     blocks: [Block; 3],
@@ -43,7 +44,7 @@ pub(super) struct Covariance {
 }
 
 impl Covariance {
-    /// Makes room for supports of at most so many pixels on a side.
+    /// Reserves memory for supports of at most `side` pixels per side.
     pub fn reserve(&mut self, side: usize) {
         let quarter = (side / 2 + 1) * (side / 2 + 1);
         for list in &mut self.between {
@@ -61,7 +62,8 @@ impl Covariance {
         self.rows.reserve(side * side.next_multiple_of(LANES));
     }
 
-    /// Factors the covariance of this noise per variance of a pixel, with enough white noise for well-behaved weights.
+    /// Factors the covariance of this noise, normalised by the pixel variance, with enough white noise
+    /// for smooth weights.
     pub fn factor(&mut self, support: Support, noise: &Noise) {
         let white = noise.white_levels2.max(MIN_SHARE * noise.spectrum(0.0));
         let all = white + noise.grain_levels2;
@@ -82,7 +84,7 @@ impl Covariance {
         }
     }
 
-    /// The grain's G of this size, between pixels and between what is even or odd.
+    /// Computes the grain's G for this size, between pixels and between even or odd parts.
     fn measure(&mut self, grain_size_px: f64) {
         self.grain_of(grain_size_px);
         let Self { side, between, alike, .. } = self;
@@ -105,7 +107,8 @@ impl Covariance {
         self.alike.resize(2 * last + 1 + LANES, 0.0);
     }
 
-    /// The part of this parity of lists over all pixels of the square, for the pixels of [`Self::factor`]'s support.
+    /// Part of this parity of lists over all pixels of the square, for the pixels of [`Self::factor`]'s
+    /// support.
     pub fn fold<const N: usize>(&self, parity: [usize; 2], lists: &[[f64; N]], out: &mut Vec<[f64; N]>) {
         out.clear();
         for (places, signs, scale) in self.mirrored(parity) {
@@ -115,7 +118,7 @@ impl Covariance {
         }
     }
 
-    /// Adds what is of this parity to lists over all pixels of the square.
+    /// Adds a part of this parity to lists over all pixels of the square.
     pub fn unfold<const N: usize>(
         &self,
         parity: [usize; 2],
@@ -129,8 +132,8 @@ impl Covariance {
         }
     }
 
-    /// Of each pixel of a system: its place and those of its mirror images to the left, upwards and both; their signs; and
-    /// the share of each, for which folding keeps lengths.
+    /// For each pixel of a system: its index and those of its mirror images to the left, upwards and
+    /// both; their signs; and the factor of each, for which folding preserves lengths.
     fn mirrored(&self, [x, y]: [usize; 2]) -> impl Iterator<Item = ([usize; 4], [f64; 4], f64)> {
         let (side, half, transposed) = (self.side, self.side / 2, x > y);
         let [left, up] = [x, y].map(|odd| if odd == 1 { -1.0 } else { 1.0 });
@@ -154,7 +157,7 @@ impl Covariance {
         self.blocks[x + y].cholesky.backward(right);
     }
 
-    /// Variance of a sum with these weights over the support, per variance of grain of this size.
+    /// Variance of a sum with these weights over the support, per unit variance of grain of this size.
     pub fn grain_gain(&mut self, weights: &[f64], grain_size_px: f64) -> f64 {
         self.grain_of(grain_size_px);
         let (side, stride) = (self.side, self.side.next_multiple_of(LANES));
@@ -179,12 +182,12 @@ impl Covariance {
     }
 }
 
-/// Share of each of two mirror images along one axis; the middle counts as both.
+/// Factor of each of two mirror images along one axis; the middle counts as both.
 const fn scale(from_middle: usize) -> f64 {
     if from_middle == 0 { 0.5 } else { FRAC_1_SQRT_2 }
 }
 
-/// Sum of the first numbers of lists, each list times its share.
+/// Sum of the first numbers of lists, each list times its factor.
 #[inline]
 fn weighted<'a>(lists: impl Iterator<Item = (&'a f64, &'a [f64])>) -> [f64; LANES] {
     let mut sum = [0.0; LANES];
@@ -200,7 +203,7 @@ mod tests {
     use super::*;
     use crate::math::DVec2;
 
-    /// The solution by parts, multiplied by the covariance between any two pixels, is what was solved for.
+    /// The solution by parts, multiplied by the full pixel covariance, gives back the right-hand side.
     #[test]
     fn what_is_solved_for_comes_back_by_the_product() {
         let mut covariance = Covariance::default();
@@ -228,7 +231,8 @@ mod tests {
                 let grain = grain_levels2 * exp(-0.25 * places[a].distance_squared(places[b]) / (1.3 * 1.3));
                 (grain + if a == b { white } else { 0.0 }) / (white + grain_levels2)
             };
-            // White noise of 3 % of the spectrum at least: a condition below 40, so that 500 sums of round-off stay below 1e-11.
+            // White noise is at least 3 % of the spectrum: a condition below 40, so that 500 sums of
+            // round-off stay below 1e-11.
             for a in (0..v.len()).filter(|&a| inside[a]) {
                 let back = |k: usize| (0..v.len()).map(|b| between(a, b) * solution[b][k]).sum::<f64>();
                 assert!((0..2).all(|k| crate::math::abs(back(k) - v[a][k]) < 1e-11), "{radius_px} px");

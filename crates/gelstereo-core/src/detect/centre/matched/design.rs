@@ -1,4 +1,4 @@
-//! Which weights tell best where a blurred disc is.
+//! Optimal weights for locating a blurred disc.
 
 use super::covariance::{Covariance, PARITIES};
 use super::disc::Disc;
@@ -14,26 +14,27 @@ const CONTRAST: usize = 2;
 const RADIUS: usize = 6;
 const STRETCHES: [usize; 2] = [7, 8];
 const BLUR: usize = 9;
-/// What is known of radius, stretches and blur before, px: it matters only where a small disc hardly tells them from its
-/// contrast. First where they are asked for.
+/// Prior standard deviations of radius, stretches and blur, px. They matter only for a small disc, where
+/// these are hardly separable from contrast. First for estimating them, second for estimating the position.
 const PRIORS_PX: [f64; 2] = [1.0, 0.15];
-/// Noise over contrast that goes with it.
+/// Noise over contrast assumed for the priors.
 const NOISE_SHARE: f64 = 1.0 / 40.0;
-/// Most columns and rows of a support.
+/// Largest number of columns and rows of a support.
 pub(super) const MAX_SUPPORT_PX: usize = 31;
-/// Weights that are wanted: displacement, contrast, radius and blur.
+/// Number of weight sets computed: displacement, contrast, radius and blur.
 const WANTED: usize = 5;
-/// Displacement at which the response's bend is measured.
+/// Displacement at which the response's nonlinearity is measured.
 const BEND_AT_PX: f64 = 0.3;
 
-/// The best weights for one place of the centre within a pixel, for a contrast of 1: sums of them times the levels.
+/// Optimal weights for one sub-pixel position of the centre, for a contrast of 1; they are applied to the
+/// levels.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Weights {
-    /// Displacement of the centre from that place, px.
+    /// Displacement of the centre from that position, px.
     pub x: Vec<f64>,
     pub y: Vec<f64>,
     pub contrast: Vec<f64>,
-    /// Radius and blur beyond those of the design, px.
+    /// Radius and blur minus those of the design, px.
     pub radius: Vec<f64>,
     pub blur: Vec<f64>,
     /// Share of the disc.
@@ -42,21 +43,21 @@ pub(super) struct Weights {
     pub bends_per_px2: [f64; 2],
 }
 
-/// Finds weights, with its scratch.
+/// Computes weights, with its scratch.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Design {
     columns: Vec<[f64; COLUMNS]>,
     /// L⁻¹ J, by parity.
     whitened: [Vec<[f64; COLUMNS]>; 4],
     wanted: Vec<[f64; WANTED]>,
-    /// Weights for x at another place, and then of the response.
+    /// Weights for x at another position, and then of the response.
     slope: Vec<f64>,
     covariance: Covariance,
     pub weights: Weights,
 }
 
 impl Design {
-    /// Makes room for supports of at most so many pixels on a side.
+    /// Reserves memory for supports of at most `side` pixels per side.
     pub fn reserve(&mut self, side: usize) {
         let Weights { x, y, contrast, radius, blur, share, .. } = &mut self.weights;
         for list in [x, y, contrast, radius, blur, share] {
@@ -82,9 +83,10 @@ impl Design {
         self.covariance.factor(support, noise);
     }
 
-    /// The best linear unbiased estimator K = (Jᵀ C⁻¹ J)⁻¹ Jᵀ C⁻¹ (Kay, Estimation Theory, section 6.5) for the
-    /// derivatives J of the levels by all parameters and the covariance C of the noise, so that no error of the other
-    /// parameters moves the centre to first order. `per_ground` is the contrast over the gel's level. `None` for a disc that its pixels do not determine.
+    /// The best linear unbiased estimator K = (Jᵀ C⁻¹ J)⁻¹ Jᵀ C⁻¹ (Kay, Estimation Theory, section 6.5),
+    /// for the derivatives J of the levels by all parameters and the covariance C of the noise. To first
+    /// order, errors of the other parameters do not move the centre. `per_ground` is the contrast over
+    /// the gel's level. `None` for a disc that its pixels do not determine.
     ///
     /// C is that of [`Self::start`] with the same support.
     pub fn run(&mut self, disc: &Disc, support: Support, off_px: DVec2, per_ground: f64) -> Option<&Weights> {
@@ -121,7 +123,7 @@ impl Design {
         weights.bends_per_px2.iter().all(|bend| bend.is_finite()).then_some(&*weights)
     }
 
-    /// Weights of sums of all columns with these shares.
+    /// Weights as linear combinations of all columns.
     fn combine(&mut self, shares: &[[f64; COLUMNS]; WANTED], support: Support) {
         let Weights { x, y, contrast, radius, blur, .. } = &mut self.weights;
         let mut lists = [x, y, contrast, radius, blur];
@@ -142,21 +144,21 @@ impl Design {
         }
     }
 
-    /// Variance of a sum with these weights per variance of white noise, and per variance of grain of each size.
+    /// Variance of a sum with these weights per unit variance of white noise, and of grain of each size.
     pub fn gains(&mut self, along_y: bool, sizes_px: &[f64; 3]) -> [f64; 4] {
         let Self { weights, covariance, .. } = self;
         gains(covariance, if along_y { &weights.y } else { &weights.x }, sizes_px)
     }
 
-    /// Keeps the weights for x until [`Self::response_gains`].
+    /// Stores the weights for x until [`Self::response_gains`].
     pub fn keep_x(&mut self) {
         self.slope.clear();
         self.slope.extend(&self.weights.x);
     }
 
-    /// As [`Self::gains`], of the response along x between the place of [`Self::keep_x`] and this one, so far to the
-    /// right of it: of what the displacement falls by for each px, less that share of it by which the contrast is too
-    /// large.
+    /// As [`Self::gains`], for the response along x between the position of [`Self::keep_x`] and this
+    /// one, `apart_px` to its right: the decrease of the displacement per px, minus the relative error of
+    /// the contrast.
     pub fn response_gains(&mut self, apart_px: f64, sizes_px: &[f64; 3]) -> [f64; 4] {
         let Self { weights, covariance, slope, .. } = self;
         for (slope, (x, contrast)) in slope.iter_mut().zip(weights.x.iter().zip(&weights.contrast)) {
@@ -166,14 +168,14 @@ impl Design {
     }
 }
 
-/// Variance of a sum with these weights per variance of white noise, and per variance of grain of each size.
+/// Variance of a sum with these weights per unit variance of white noise, and of grain of each size.
 fn gains(covariance: &mut Covariance, weights: &[f64], sizes_px: &[f64; 3]) -> [f64; 4] {
     let white = weights.iter().map(|weight| weight * weight).sum();
     let [small, medium, large] = sizes_px.map(|size_px| covariance.grain_gain(weights, size_px).max(0.0));
     [white, small, medium, large]
 }
 
-/// Rows of (Jᵀ C⁻¹ J)⁻¹ for what is wanted, of Jᵀ C⁻¹ J.
+/// Rows of (Jᵀ C⁻¹ J)⁻¹ for the wanted parameters, from Jᵀ C⁻¹ J.
 fn shares(matrix: &Symmetric<COLUMNS>) -> Option<[[f64; COLUMNS]; WANTED]> {
     let factor = |prior_px: f64| {
         let mut known = *matrix;
@@ -202,7 +204,8 @@ fn derive(columns: &mut Vec<[f64; COLUMNS]>, disc: &Disc, support: Support, off_
         let (share, along) = (disc.at(far_px), from / far_px.max(1e-9));
         // Light scales paint as it scales gel.
         let light = 1.0 + per_ground * share.inside;
-        // A stretch moves the edge by cos 2t, as bounds of such fits have it: to first order in its width over the radius.
+        // A stretch moves the edge by cos 2t, to first order in its width over the radius, as in the
+        // bounds of such fits.
         [
             -share.by_distance * along.x,
             -share.by_distance * along.y,
@@ -223,9 +226,9 @@ mod tests {
     use super::*;
     use crate::math::{abs, exp};
 
-    /// Against the response to a disc on the first of both places, when one pixel after the other is brighter by a little,
-    /// and the sum over all pairs of pixels. What is neglected is of second order in the distance of the places over
-    /// the blur.
+    /// Against the response to a disc at the first of both positions, perturbed one pixel at a time, and
+    /// the sum over all pairs of pixels. Neglected terms are of second order in the distance of the
+    /// positions over the blur.
     #[test]
     fn response_gains_are_those_of_steps_from_two_places() {
         let (mut disc, mut design) = (Disc::default(), Design::default());

@@ -1,10 +1,10 @@
-//! The image of a blurred disc and its derivatives, by distance from its centre.
+//! Image of a blurred disc and its derivatives, by distance from its centre.
 
 use crate::math::{ceil, cos, exp};
 use alloc::vec::Vec;
 use core::f64::consts::PI;
 
-/// Nodes per blur: linear in between, the share is right to 1 / 32² / 8 · 0.24 = 3e-5.
+/// Nodes per blur: with linear interpolation the share is accurate to 1 / 32² / 8 · 0.24 = 3e-5.
 const PER_BLUR: f64 = 32.0;
 /// Blurs beyond the edge at which nothing is left: Φ(-6) = 1e-9.
 const REACH: f64 = 6.0;
@@ -12,18 +12,18 @@ const REACH: f64 = 6.0;
 /// Blurs at which the Gaussian is below 1e-17 of its height.
 const TOO_FAR: f64 = 9.0;
 
-/// What a blurred disc of contrast 1 shows at one distance from its centre.
+/// Values of a blurred disc of contrast 1 at one distance from its centre.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Share {
     /// Share of the contrast.
     pub inside: f64,
-    /// Its derivatives by distance, by radius and by blur, 1/px.
+    /// Its derivatives with respect to distance, radius and blur, 1/px.
     pub by_distance: f64,
     pub by_radius: f64,
     pub by_blur: f64,
 }
 
-/// Most nodes, and angles of half a turn, for the radii and blurs that are looked at.
+/// Limits on nodes and on angles of half a turn, for the radii and blurs in use.
 const MAX_NODES: usize = 1408;
 const MAX_ANGLES: usize = 160;
 
@@ -36,12 +36,12 @@ pub(super) struct Disc {
 }
 
 impl Disc {
-    /// Draws a disc of this radius behind a Gaussian of this blur.
+    /// Computes the table for a disc of this radius with Gaussian blur.
     ///
-    /// Growing the radius adds a ring: with d² + r² - 2 d r cos t the squared distance to its points, dS/dr is the
-    /// integral of the Gaussian over the ring, and dS/dd minus that of the Gaussian times cos t, for the outline's
-    /// normal. Both are sums over equal angles, which for a period converge at once. S is the integral of dS/dd, and
-    /// dS/db = b ∇²S.
+    /// Increasing the radius adds a ring. With d² + r² - 2 d r cos t the squared distance to its points,
+    /// dS/dr is the integral of the Gaussian over the ring. dS/dd is minus the integral of the Gaussian
+    /// times cos t, for the outline's normal. Both are sums over equal angles, which converge quickly for
+    /// periodic functions. S is the integral of dS/dd, and dS/db = b ∇²S.
     pub fn draw(&mut self, radius_px: f64, blur_px: f64) {
         let step_px = blur_px / PER_BLUR;
         let count = (ceil((radius_px + REACH * blur_px) / step_px) as usize + 2).min(MAX_NODES);
@@ -59,7 +59,7 @@ impl Disc {
         for k in 0..count {
             let d = k as f64 * step_px;
             let (mut even, mut odd) = (0.0, 0.0);
-            // Cosines fall, and distances grow: what follows the first that is too far is farther.
+            // Cosines decrease, so distances increase: all later points are even farther.
             for cosine in &self.cosines {
                 let apart2 = d * d + radius_px * radius_px - 2.0 * d * radius_px * cosine;
                 if apart2 > too_far2 {
@@ -128,7 +128,8 @@ mod tests {
         disc
     }
 
-    /// Tolerance: counting grid points errs by about the outline's length times step^1.5 over the area.
+    /// Tolerance: the error of counting grid points is about the outline's length times step^1.5 over the
+    /// area.
     #[test]
     fn shares_and_derivatives_are_those_of_a_sampled_disc() {
         let h = 0.01;

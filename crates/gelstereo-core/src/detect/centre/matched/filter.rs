@@ -1,4 +1,4 @@
-//! One step of the matched filter for one marker, and what such a step is worth.
+//! One step of the matched filter for one marker, and its uncertainty.
 
 use super::correlate::Patch;
 use super::tables::{Kind, PLACES, Tables};
@@ -10,55 +10,54 @@ use crate::params::{DetectParams, Polarity};
 
 /// A pixel's own width and a little defocus.
 pub(super) const FIRST_BLUR_PX: f64 = 0.8;
-/// Contrast over the gel's level to begin with: paint that takes 70 % of the light, gel that does.
+/// Initial contrast over the gel's level: the paint, or the gel for bright markers, absorbs 70 % of light.
 pub(super) const DARK_PER_GROUND: f64 = -0.7;
 pub(super) const BRIGHT_PER_GROUND: f64 = 2.3;
-/// Steps at most. A binary centroid needs one, a prediction two to four.
+/// Largest number of steps. A binary centroid needs one, a prediction two to four.
 const MAX_STEPS: usize = 6;
-/// A displacement from the weights' own place over the blur, below which a step is the last: what is left of it is
-/// below 0.005 px.
+/// A step is the last if its displacement over the blur is below this; the remainder is then below 0.005 px.
 const SETTLED: f64 = 0.27;
-/// The same for later steps, which begin near a place of the weights.
+/// The same for later steps, in pixels; they start near a position of the weights.
 const SETTLED_LATER_PX: f64 = 0.4;
-/// Standard deviations of what noise leaves that are chance.
+/// Standard deviations of the noise residual that count as chance.
 const CHANCE: f64 = 3.0;
 /// Longest step.
 const LONGEST_PX: f64 = 1.0;
 /// Least contrast over the standard deviation of a pixel.
 const MIN_CONTRAST: f64 = 1.0;
-/// Rms of what noise and model leave over the contrast, above which the patch is no single whole disc.
+/// Rms residual of noise and model over the contrast, above which the patch is not a single whole disc.
 pub const MAX_MISFIT: f64 = 0.12;
 
-/// A marker's centre by a matched step.
+/// Centre of a marker from a matched filter step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Refined {
     /// Centre, pixels.
     pub centre_px: DVec2,
     /// Its covariance, px², from the image's noise and grain.
     pub covariance_px2: Symmetric<2>,
-    /// Level of the dot less that of the gel, grey levels.
+    /// Level of the dot minus that of the gel, grey levels.
     pub contrast_levels: f64,
-    /// Rms of what the disc leaves of the levels, noise and grain taken off, over the contrast. Below [`MAX_MISFIT`]
-    /// for one whole marker; neighbours within the support, merged pairs, covered halves and smears have more.
+    /// Rms residual over the contrast, without noise and grain. It is below [`MAX_MISFIT`] for one whole
+    /// marker; neighbours within the support, merged pairs, covered halves and smears have more.
     pub misfit: f64,
 }
 
-/// The weights made so far, and what was last learned of an image.
+/// The weights computed so far, and what was last learned from an image.
 #[derive(Clone, Debug)]
 pub(super) struct MatchedFilter {
     pub given_blur_px: Option<f64>,
     pub bright: bool,
     pub noise: Noise,
     pub blur_px: f64,
-    /// Variance of a coordinate by sampling.
+    /// Variance of a coordinate due to sampling.
     pub sampling_px2: f64,
-    /// Radius of discs less that of components of the same area, for the usual one.
+    /// Radius of discs minus that of components of the same area, for the usual one.
     pub radius_off_px: f64,
-    /// Radius of the usual component, and how much larger discs are whose component is a pixel larger in radius: less
-    /// than 1 where uneven light has components grow with their contrast.
+    /// Radius of the usual component, and the change of disc radius per pixel of component radius. The
+    /// latter is below 1 if uneven light makes components grow with their contrast.
     pub usual_px: f64,
     pub radius_per_px: f64,
-    /// Usual contrast, grey levels; 0 when nothing is known.
+    /// Usual contrast, grey levels; 0 if unknown.
     pub contrast_levels: f64,
     /// Usual contrast over the gel's level.
     pub per_ground: f64,
@@ -67,28 +66,27 @@ pub(super) struct MatchedFilter {
     pub patch: Patch,
 }
 
-/// Where the weights of one step lie, and their answer.
+/// Position of the weights of one step, and its result.
 pub(super) struct Step {
     pub set: usize,
     pub place: usize,
     pub at_px: DVec2,
     pub moved_px: DVec2,
-    /// What it is to first order.
+    /// Displacement to first order.
     pub linear_px: DVec2,
     pub contrast: f64,
     pub variances: [f64; 2],
 }
 
-/// How far steps go for each px that a disc of the image is away. The weights are made for a blur and a radius near
-/// by, and for a circle: where they answer by s instead of 1, noise that they take for one px puts the centre 1 / s px
-/// off.
+/// Step length per px of true displacement. The weights are designed for a nearby blur and radius and for
+/// a circle. With a response s instead of 1, noise equivalent to one px moves the centre by 1 / s px.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Response {
     pub mean: f64,
-    /// Mean of 1 / s² over markers. Noise varies s too, along with which the error grows in second order as it does in
+    /// Mean of 1 / s² over markers. Noise varies s too, and the error grows with it in second order as in
     /// a fit.
     pub per_square: f64,
-    /// Variance of s over markers that noise does not explain: of their radii and shapes.
+    /// Variance of s over markers that is not explained by noise, due to their radii and shapes.
     pub scatter: f64,
 }
 
@@ -99,7 +97,7 @@ impl Default for Response {
 }
 
 impl MatchedFilter {
-    /// With these settings.
+    /// Creates the filter from its settings.
     pub fn new(params: &DetectParams) -> Self {
         let bright = params.polarity == Polarity::Bright;
         Self {
@@ -119,7 +117,7 @@ impl MatchedFilter {
         }
     }
 
-    /// Forgets what was learned, but keeps its room.
+    /// Discards what was learned, but keeps the memory.
     pub fn forget(&mut self) {
         self.noise = Noise::default();
         self.blur_px = self.given_blur_px.unwrap_or(FIRST_BLUR_PX);
@@ -130,14 +128,14 @@ impl MatchedFilter {
         self.tables.forget();
     }
 
-    /// Radius of a disc whose component has this area, in the image that was last learned.
+    /// Radius of a disc whose component has this area, in the last image learned.
     pub fn radius_px(&self, area_px2: u32) -> f64 {
         let larger_px = component_px(area_px2) - self.usual_px;
         self.usual_px + self.radius_off_px + self.radius_per_px * larger_px
     }
 
-    /// Finds the disc of about this radius whose centre lies within about a pixel of `near_px`. `None` where the
-    /// support leaves the image, nothing of that polarity is there, or steps do not settle.
+    /// Finds the disc of about this radius whose centre is within about a pixel of `near_px`. `None` if
+    /// the support leaves the image, nothing of that polarity is there, or steps do not converge.
     #[inline]
     pub fn refine(&mut self, image: GrayView<'_>, near_px: DVec2, radius_px: f64) -> Option<Refined> {
         let (mut near, mut settled_px) = (near_px, SETTLED * self.tables.blur_px());
@@ -170,13 +168,13 @@ impl MatchedFilter {
         let moved_px = if long2 < LONGEST_PX * LONGEST_PX {
             linear_px * (1.0 + set.bend_per_px2 * long2)
         } else {
-            // Far away only its direction is good for something.
+            // Far away, only the direction of the step is useful.
             linear_px * (LONGEST_PX / sqrt(long2))
         };
         Some(Step { set: index, place, at_px, moved_px, linear_px, contrast, variances })
     }
 
-    /// Level of the gel, and variance of what a step's disc leaves of the levels.
+    /// Level of the gel, and variance of the residuals after subtracting a step's disc.
     #[inline]
     pub fn rest(&mut self, step: &Step) -> (f64, f64) {
         let set = self.tables.set(step.set);
@@ -192,7 +190,7 @@ impl MatchedFilter {
     pub fn judge(&mut self, step: &Step) -> Refined {
         let (ground, rest2) = self.rest(step);
         let pixels = f64::from(self.tables.set(step.set).pixels);
-        // Grain is of the surface: it grows with the light.
+        // Grain belongs to the surface: it grows with the light.
         let grain_share = self.noise.grain_share(ground);
         let noise2 = self.noise.white_levels2 + grain_share * self.noise.grain_levels2;
         let chance2 = noise2 * (1.0 + CHANCE * sqrt(2.0 / pixels));
@@ -206,9 +204,9 @@ impl MatchedFilter {
         }
     }
 
-    /// Covariance of a centre whose noise has so large a variance to the weights: over the squared response, and a
-    /// step g (1 + κ g²) follows the noise of g by its derivatives, (1 + κ g²) I + 2 κ g gᵀ. What a marker's own
-    /// response differs by from the mean is that part of its step.
+    /// Covariance of a centre, given its noise variance at unit response. It is divided by the squared
+    /// response, and a step g (1 + κ g²) propagates the noise of g by its derivatives, (1 + κ g²) I + 2 κ
+    /// g gᵀ. A marker's own deviation from the mean response adds that share of its step.
     fn covariance_px2(&self, step: &Step, noise_px2: f64) -> Symmetric<2> {
         let Response { per_square, scatter, .. } = self.response;
         let all_px2 = noise_px2 * per_square;
@@ -227,8 +225,8 @@ pub(super) fn component_px(area_px2: u32) -> f64 {
     sqrt(f64::from(area_px2) * core::f64::consts::FRAC_1_PI)
 }
 
-/// The place within its pixel that is nearest, the support's first pixel, and where that place is; `None` where the
-/// support leaves the image.
+/// The nearest sub-pixel position, the support's first pixel, and the coordinates of that position;
+/// `None` if the support leaves the image.
 #[inline]
 pub(super) fn locate(
     image: GrayView<'_>,

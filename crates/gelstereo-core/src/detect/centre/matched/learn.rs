@@ -1,4 +1,4 @@
-//! What an image's discs have in common, from some of them.
+//! Estimates what an image's discs have in common, from some of them.
 
 use super::filter::{MAX_MISFIT, MatchedFilter, Refined, Response, component_px, locate};
 use super::tables::{Conditions, Kind, PLACES, REACH_PX};
@@ -9,24 +9,25 @@ use crate::image::GrayView;
 use crate::math::{DVec2, median};
 use alloc::vec::Vec;
 
-/// Markers that are looked at, spread evenly over the list.
+/// Sample markers, spread evenly over the list.
 const SAMPLES: usize = 24;
 const ROUNDS: usize = 3;
-/// Columns and rows of places in the image whose nearest markers tell the response, along both axes. Its noise is that
-/// of the centre times the slopes' wave number, about 1 per pixel: a tenth where a centre is known to a tenth of a
-/// pixel, of which 24 numbers leave 2 %.
+/// Columns and rows of a grid over the image; the markers nearest to its nodes give the response along
+/// both axes. Its noise is that of the centre times the slopes' wave number, about 1 per pixel: a tenth
+/// if a centre is known to a tenth of a pixel, which 24 values reduce to 2 %.
 const RESPONDING: [usize; 2] = [4, 3];
-/// Responses that are believed: weights serve a step and a half of blur off their design.
+/// Range of accepted responses: weights work up to one and a half blur steps off their design.
 const RESPONSES: core::ops::RangeInclusive<f64> = 0.6..=1.6;
-/// Change of the usual radius that changes no weights.
+/// Changes of the usual radius below this leave the weights unchanged.
 const SAME_RADIUS_PX: f64 = 0.1;
-/// The same for how radii follow those of components, which differ by a third of a pixel where much.
+/// The same for the slope of disc radius over component radius; component radii differ by up to about
+/// a third of a pixel.
 const SAME_PER_PX: f64 = 0.3;
-/// Radius of a disc beyond that of its component, at most.
+/// Largest disc radius minus that of its component.
 const MAX_OFF_PX: f64 = 1.5;
-/// Radii of components that differ by less say nothing of those of discs.
+/// Spread of component radii below which they do not determine the slope.
 const ALIKE_PX: f64 = 0.03;
-/// Blurs that are believed.
+/// Range of accepted blurs.
 const BLURS_PX: core::ops::RangeInclusive<f64> = 0.4..=5.0;
 
 /// Scratch.
@@ -41,7 +42,7 @@ pub(super) struct Samples {
     response: Vec<f64>,
 }
 
-/// What one marker says.
+/// Parameters estimated from one marker.
 struct Form {
     radius_px: f64,
     blur_px: f64,
@@ -51,8 +52,8 @@ struct Form {
 }
 
 impl MatchedFilter {
-    /// Radius, blur and contrast by the weights for them, again with the weights for what they said. Weights once made
-    /// are kept as long as they serve: to make others takes some 10 ms.
+    /// Estimates radius, blur and contrast, and repeats with the weights for these estimates. Weights are
+    /// kept while they are suitable: computing new ones takes some 10 ms.
     pub(super) fn learn(&mut self, samples: &mut Samples, image: GrayView<'_>, markers: &Markers) {
         (self.response, self.sampling_px2) = (Response::default(), 0.0);
         let count = markers.centres_px.len();
@@ -73,7 +74,7 @@ impl MatchedFilter {
                 if half_way_px > 1.25 * usual_px + REACH_PX { f64::INFINITY } else { half_way_px };
             let wanted = Conditions::new(self.blur_px, half_way_px, &self.noise, self.per_ground);
             let chosen = self.tables.chosen();
-            // What served the last image, or else what the last round said.
+            // Keep the last image's weights if suitable, otherwise use the last round's estimate.
             keeps &= chosen.is_some_and(|chosen| chosen.is_near(wanted));
             let conditions = chosen.filter(|_| keeps).unwrap_or(wanted);
             self.tables.choose(conditions, &self.noise, usual_px);
@@ -94,8 +95,8 @@ impl MatchedFilter {
         self.learn_response(samples, image, markers);
     }
 
-    /// Response of the weights that were chosen to some of the markers, and how sharp these are: the same ones in
-    /// whatever order they are listed.
+    /// Response of the chosen weights to some of the markers, and their sharpness. The selection does not
+    /// depend on the order of the list.
     fn learn_response(&mut self, samples: &mut Samples, image: GrayView<'_>, markers: &Markers) {
         samples.clear();
         let [columns, rows] = RESPONDING;
@@ -134,8 +135,8 @@ impl MatchedFilter {
         self.response = Response { mean: usual, per_square: mean(&|s| 1.0 / (s * s)), scatter };
     }
 
-    /// How far steps along either axis go for each px, between the nearest place and the next one towards the disc,
-    /// and the variance that noise gives it. `None` for markers that steps do not serve.
+    /// Response of steps along either axis, between the nearest position and the next one towards the
+    /// disc, and its noise variance. `None` for markers unsuitable for steps.
     fn responses(&mut self, image: GrayView<'_>, near_px: DVec2, radius_px: f64) -> Option<([f64; 2], f64)> {
         let start = self.step(image, near_px, radius_px)?;
         let here = self.step(image, start.at_px + start.moved_px, radius_px)?;
@@ -153,7 +154,8 @@ impl MatchedFilter {
         Some((along, 0.5 * (xx + yy) * per_px2))
     }
 
-    /// Takes over what the samples say, radii that still serve excepted; whether there were any.
+    /// Adopts the samples' estimates, except radii that are still suitable; returns whether there were
+    /// any samples.
     fn take_medians(&mut self, samples: &mut Samples, keeps: bool, usual_px: f64) -> bool {
         let Samples { radius, blur, per_ground, contrast, .. } = samples;
         let blur_px = Middle::of(blur).map(|blur| blur.mean);
@@ -179,7 +181,7 @@ impl MatchedFilter {
         true
     }
 
-    /// What the disc at a place looks like.
+    /// Parameters of the disc near a position.
     fn form(&mut self, image: GrayView<'_>, near_px: DVec2, radius_px: f64) -> Option<Form> {
         let step = self.step(image, near_px, radius_px)?;
         let set = *self.tables.set(step.set);
@@ -199,7 +201,7 @@ impl MatchedFilter {
 }
 
 impl Samples {
-    /// Begins anew, with room for all.
+    /// Clears the lists and reserves memory for all samples.
     fn clear(&mut self) {
         let Self { radius, radii, blur, per_ground, contrast, response } = self;
         for list in [radius, blur, per_ground, contrast, response] {
@@ -210,8 +212,8 @@ impl Samples {
         radii.reserve(SAMPLES);
     }
 
-    /// How much larger discs are whose component is larger by a pixel in radius: the line of regression, without those
-    /// farther off than any disc, and towards 1 where components are alike.
+    /// Change of disc radius per pixel of component radius: a regression line without outliers farther
+    /// off than any disc, regularised towards 1 if components are alike.
     fn radius_per_px(&self) -> f64 {
         let count = self.radii.len().max(1) as f64;
         let [component_px, disc_px] = [0, 1].map(|n| self.radii.iter().map(|r| r[n]).sum::<f64>() / count);
@@ -236,13 +238,13 @@ impl Samples {
     }
 }
 
-/// Index of the centre that is nearest to a place.
+/// Index of the centre nearest to a position.
 fn nearest(centres_px: &[DVec2], at: DVec2) -> Option<usize> {
     let distances = centres_px.iter().map(|centre| centre.distance_squared(at));
     distances.enumerate().min_by(|(_, a), (_, b)| a.total_cmp(b)).map(|(k, _)| k)
 }
 
-/// Distance to the nearest other one.
+/// Distance to the nearest other centre.
 fn nearest_px(centres_px: &[DVec2], index: usize) -> Option<f64> {
     let at = centres_px[index];
     let (before, after) = (&centres_px[..index], &centres_px[index + 1..]);
@@ -252,7 +254,7 @@ fn nearest_px(centres_px: &[DVec2], index: usize) -> Option<f64> {
     nearest2.is_finite().then(|| crate::math::sqrt(nearest2))
 }
 
-/// The value below which one of so many parts lies.
+/// The value below which one of `parts` equal parts lies.
 fn quantile(scratch: &mut Vec<f64>, values: impl Iterator<Item = f64>, parts: usize) -> Option<f64> {
     scratch.clear();
     scratch.extend(values);

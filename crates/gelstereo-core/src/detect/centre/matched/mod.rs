@@ -1,11 +1,10 @@
-//! Centres by one step of a matched template: weights that were made once say how far a blurred disc is from where it
-//! was thought to be.
+//! Centres by one Gauss-Newton step of a matched filter for a blurred disc, with precomputed integer weights.
 //!
-//! The weights are those of the best linear unbiased estimator of the displacement in the image's noise and grain, for a
-//! disc of that radius and blur at the nearest of 4 x 4 places within a pixel (Lucas and Kanade's step with the template's
-//! slopes instead of the image's: Baker and Matthews, "Lucas-Kanade 20 years on", IJCV 2004, section 3.2). Its sums are of
-//! whole numbers. They do not answer to contrast, ground, slope of light, radius, stretch and blur, and what is left of a
-//! displacement after a step is of third order in it.
+//! The weights are the best linear unbiased estimator of the displacement in the image's noise and grain,
+//! for a disc of that radius and blur at the nearest of 4 x 4 sub-pixel positions. (It is Lucas and
+//! Kanade's step with the template's slopes instead of the image's: Baker and Matthews, "Lucas-Kanade 20
+//! years on", IJCV 2004, section 3.2.) The weights are insensitive to contrast, ground, light slope,
+//! radius, stretch and blur. The remaining displacement after a step is of third order.
 
 mod cholesky;
 mod correlate;
@@ -33,11 +32,11 @@ use crate::params::DetectParams;
 use filter::MatchedFilter;
 use learn::Samples;
 
-/// Standard deviation of a grey centroid over that of a step, where the step did not serve: 2.0 on leaning markers of a rendered
-/// dome. Twice as much stated four times their variance.
+/// Standard deviation of an intensity-weighted centroid over that of a step, if the step failed: 2.0 on
+/// inclined markers of a rendered dome. Twice as much overstated their variance fourfold.
 const UNFITTED: f64 = 2.0;
 
-/// The matched filter, and what learns its weights.
+/// The matched filter and the learning of its weights.
 #[derive(Clone, Debug)]
 pub struct Matched {
     filter: MatchedFilter,
@@ -48,7 +47,7 @@ pub struct Matched {
 }
 
 impl Matched {
-    /// With these settings.
+    /// Creates the rung from its settings.
     #[must_use]
     pub fn new(params: &DetectParams) -> Self {
         Self {
@@ -60,34 +59,34 @@ impl Matched {
         }
     }
 
-    /// Learns blur and radius of an image's discs from some of its markers, given by their approximate centres and
-    /// areas, and chooses the weights for that, for its noise and for the distance of neighbours. Weights are kept
-    /// from image to image as long as they serve.
+    /// Learns blur and radius of an image's discs from some of its markers, given by approximate centres
+    /// and areas. Chooses the weights for these, for the noise and for the distance of neighbours.
+    /// Weights are kept from image to image while they are suitable.
     pub fn prepare(&mut self, image: GrayView<'_>, noise: Noise, markers: &Markers) {
         self.filter.noise = noise;
         self.filter.learn(&mut self.samples, image, markers);
     }
 
-    /// Standard deviation of all blur of the image that was last learned, pixels.
+    /// Standard deviation of the total blur of the last image learned, pixels.
     #[must_use]
     pub const fn blur_px(&self) -> f64 {
         self.filter.blur_px
     }
 
-    /// Radius of a disc whose component has this area, in the image that was last learned.
+    /// Radius of a disc whose component has this area, in the last image learned.
     #[must_use]
     pub fn radius_px(&self, area_px2: u32) -> f64 {
         self.filter.radius_px(area_px2)
     }
 
-    /// Finds the disc of about this radius whose centre lies within about a pixel of `near_px`. `None` where the
-    /// support leaves the image, nothing of that polarity is there, or steps do not settle.
+    /// Finds the disc of about this radius whose centre is within about a pixel of `near_px`. `None` if
+    /// the support leaves the image, nothing of that polarity is there, or steps do not converge.
     pub fn refine(&mut self, image: GrayView<'_>, near_px: DVec2, radius_px: f64) -> Option<Refined> {
         self.filter.refine(image, near_px, radius_px)
     }
 
-    /// Replaces centre and covariance of a marker of the list, as a disc whose component has about this area; whether it
-    /// could.
+    /// Replaces centre and covariance of a listed marker, as a disc whose component has about this area;
+    /// returns whether it succeeded.
     fn replace(
         &mut self,
         image: GrayView<'_>,
@@ -113,7 +112,7 @@ impl Matched {
         found.is_some()
     }
 
-    /// Least variance of a coordinate, px², where the step did not serve.
+    /// Least variance of a coordinate, px², if the step failed.
     fn unfitted_variance_px2(&mut self, radius_px: f64) -> f64 {
         let Some((_, [white, grain])) = self.filter.tables.find(radius_px) else { return 0.0 };
         let contrast = self.filter.contrast_levels;
@@ -160,7 +159,7 @@ impl CentreRung for Matched {
         }
     }
 
-    /// With the weights for what the last image that was searched whole showed, and the usual radius, which is known
+    /// Uses the weights chosen for the last whole image searched, and the usual radius, which is known
     /// better than that of a single window.
     fn refine_windows(&mut self, image: GrayView<'_>, size: &MarkerSize, out: &mut Markers) -> bool {
         let usual_px2 = round(size.usual_area_px2()) as u32;

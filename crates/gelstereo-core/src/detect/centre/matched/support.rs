@@ -1,8 +1,8 @@
-//! Which pixels around a centre count.
+//! Pixels around a centre that are used.
 
 use crate::math::DVec2;
 
-/// A square of pixels around the one nearest to the centre; those within a circle count.
+/// Square of pixels around the one nearest to the centre; those within a circle are used.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Support {
     pub side: usize,
@@ -10,7 +10,7 @@ pub(super) struct Support {
 }
 
 impl Support {
-    /// Pixels up to `radius_px` from the centre, wherever in the middle pixel that lies.
+    /// Pixels up to `radius_px` from the centre, for any position in the middle pixel.
     pub fn new(radius_px: f64) -> Self {
         Self { side: 2 * (radius_px as usize) + 1, radius_px }
     }
@@ -19,7 +19,7 @@ impl Support {
         self.side / 2
     }
 
-    /// Places of all pixels, row by row, relative to the middle one.
+    /// Positions of all pixels, row by row, relative to the middle one.
     pub fn places(self) -> impl Iterator<Item = DVec2> {
         let half = self.half() as f64;
         (0..self.side * self.side)
@@ -30,7 +30,7 @@ impl Support {
         place.length_squared() <= self.radius_px * self.radius_px
     }
 
-    /// As [`Self::has`], so many columns and rows from the middle.
+    /// As [`Self::has`], for an offset of columns and rows from the middle.
     pub fn has_at(self, columns: usize, rows: usize) -> bool {
         self.has(DVec2::new(columns as f64, rows as f64))
     }

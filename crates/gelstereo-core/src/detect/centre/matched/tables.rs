@@ -1,4 +1,4 @@
-//! Weights as whole numbers for every disc and place within a pixel that an image has needed so far.
+//! Integer weights for every disc and sub-pixel position that an image has needed so far.
 
 use super::correlate::{SHARE_BITS, columns, numbers};
 use super::design::{Design, MAX_SUPPORT_PX, Weights};
@@ -8,9 +8,9 @@ use crate::detect::centre::noise::Noise;
 use crate::math::{DVec2, abs, exp, floor, ln, round};
 use alloc::vec::Vec;
 
-/// Places of a centre within a pixel, per axis.
+/// Sub-pixel positions of a centre, per axis.
 pub(super) const PLACES: usize = 4;
-/// Kernels of one place, one after the other.
+/// Kernels of one position, in storage order.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Kind {
     X,
@@ -21,22 +21,23 @@ pub(super) enum Kind {
     Blur,
 }
 const KINDS: usize = 6;
-/// Largest weight: its products with levels fill 31 bits only for sums of more than 1000 pixels.
+/// Largest weight: only sums of more than 1000 pixels could overflow 31 bits.
 const MAX_WEIGHT: i32 = 8191;
-/// Numbers beside it are whole: adding it rounds.
+/// Numbers of this magnitude are integers: adding it rounds.
 const LIFT: f64 = 1.5 * (1_u64 << 52) as f64;
-/// Sets there is room for, of discs as large as those of the first image. The markers of an image need two or three.
+/// Largest number of sets, for discs as large as those of the first image. The markers of an image need
+/// two or three.
 const MAX_SETS: usize = 12;
-/// Larger discs than in the first image that are served: pixels more on a side of their support.
+/// Margin for discs larger than in the first image: additional pixels per side of their support.
 const WIDER_PX: usize = 4;
-/// Sizes of grain over that of the design for which the variance is known.
+/// Grain sizes over that of the design for which the variance is computed.
 const SIZES: [f64; 3] = [0.7, 1.0, 1.4];
 
-/// What the weights are made for, in steps: nothing is lost by a neighbour's.
+/// Design conditions of the weights, quantised so finely that a neighbouring step costs nothing.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Conditions {
     blur: u8,
-    /// Quarters of a pixel to the middle between neighbours; the most for far ones.
+    /// Quarters of a pixel to the middle between neighbours; the largest value for distant ones.
     half_way: u8,
     grain: u8,
     grain_size: u8,
@@ -45,7 +46,8 @@ pub(super) struct Conditions {
 }
 
 impl Conditions {
-    /// `half_way_px` is half the distance to the nearest neighbour, `per_ground` the contrast over the gel's level.
+    /// `half_way_px` is half the distance to the nearest neighbour, `per_ground` the contrast over the
+    /// gel's level.
     pub fn new(blur_px: f64, half_way_px: f64, noise: &Noise, per_ground: f64) -> Self {
         let step = |value: f64, first: f64, ratio: f64, most: f64| {
             round(ln(value / first) / ln(ratio)).clamp(0.0, most) as u8
@@ -61,8 +63,8 @@ impl Conditions {
         }
     }
 
-    /// Whether weights for the others serve here too: they differ by a step at most, which costs less than a percent of
-    /// precision.
+    /// Whether weights for the other conditions are suitable here too: they differ by at most one step,
+    /// which costs less than a percent of precision.
     pub fn is_near(self, other: Self) -> bool {
         let (dot_slope, other_slope) = (self.dot_slope, other.dot_slope);
         let steps = [
@@ -71,13 +73,14 @@ impl Conditions {
             self.grain.abs_diff(other.grain),
             dot_slope.abs_diff(other_slope),
         ];
-        // Without grain its size means nothing.
+        // Without grain its size is irrelevant.
         let sizes =
             if self.grain.min(other.grain) <= 2 { 0 } else { self.grain_size.abs_diff(other.grain_size) };
         steps.into_iter().chain([sizes]).all(|steps| steps <= 1)
     }
 
-    /// Radius of the support of a disc: to the middle between neighbours at most, `None` if they are too near.
+    /// Radius of the support of a disc: at most to the middle between neighbours; `None` if they are too
+    /// near.
     fn reach_px(self, radius_px: f64) -> Option<f64> {
         let half_way = if self.half_way == u8::MAX { f64::INFINITY } else { 0.25 * f64::from(self.half_way) };
         (half_way >= radius_px + MIN_REACH_PX).then(|| half_way.min(radius_px + REACH_PX))
@@ -95,7 +98,8 @@ impl Conditions {
     }
 }
 
-/// Gel around the outline that takes part, at most and at least: farther pixels say little of the light.
+/// Largest and least width of gel around the outline that is used: farther pixels carry little
+/// information on the light.
 pub(super) const REACH_PX: f64 = 3.0;
 const MIN_REACH_PX: f64 = 1.0;
 const MIN_BLUR_PX: f64 = 0.4;
@@ -109,9 +113,9 @@ const RADII: usize = 60;
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Set {
     radius: u8,
-    /// Pixels on a side.
+    /// Pixels per side.
     pub side: usize,
-    /// Pixels that count.
+    /// Number of pixels used.
     pub pixels: u32,
     first: usize,
     pub radius_px: f64,
@@ -120,9 +124,10 @@ pub(super) struct Set {
     pub contrast_per_unit: f64,
     pub form_per_unit: f64,
     pub bend_per_px2: f64,
-    /// Variances for a contrast of 1 and of white noise, and of grain of the design's size times [`SIZES`].
+    /// Variances for a contrast of 1, per unit variance of white noise and of grain of the design's size
+    /// times [`SIZES`].
     gains: [f64; 4],
-    /// The same of the response.
+    /// The same for the response.
     response_gains: [f64; 4],
     grain_size_px: f64,
 }
@@ -133,7 +138,8 @@ impl Set {
         self.variances_of(self.gains, noise)
     }
 
-    /// Variance of the response over that of a coordinate, 1/px²: the weights' mean square wave number in this noise.
+    /// Variance of the response over that of a coordinate, 1/px²: the weights' mean square wave number in
+    /// this noise.
     pub fn response_per_px2(&self, noise: &Noise) -> f64 {
         let [response, coordinate] = [self.response_gains, self.gains]
             .map(|gains| self.variances_of(gains, noise).iter().sum::<f64>());
@@ -153,7 +159,7 @@ impl Set {
     }
 }
 
-/// What is known of a radius in the conditions that hold.
+/// State of a radius under the current conditions.
 #[derive(Clone, Copy, Debug, Default)]
 enum Known {
     #[default]
@@ -164,7 +170,7 @@ enum Known {
     Set(usize, [f64; 2]),
 }
 
-/// The weights that were made for the conditions that hold.
+/// The weights computed for the current conditions.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Tables {
     numbers: Vec<i16>,
@@ -174,7 +180,7 @@ pub(super) struct Tables {
     blur_px: f64,
     noise: Noise,
     by_radius: Vec<Known>,
-    /// Most numbers, and most pixels on a side of a support.
+    /// Largest number of entries, and of pixels per side of a support.
     room: usize,
     most_side: usize,
     disc: Disc,
@@ -182,8 +188,8 @@ pub(super) struct Tables {
 }
 
 impl Tables {
-    /// Chooses the conditions that hold from now on, and the noise of which variances follow. Weights for other conditions
-    /// are forgotten. Room is taken for discs of about this radius, anew only for much larger ones.
+    /// Sets the conditions and the noise that determines the variances. Discards weights for other
+    /// conditions. Reserves memory for discs of about this radius, again only for much larger ones.
     pub fn choose(&mut self, conditions: Conditions, noise: &Noise, usual_px: f64) {
         let widest = Support::new((usual_px + REACH_PX).clamp(4.0, 0.5 * MAX_SUPPORT_PX as f64));
         let wider = widest.side > self.most_side;
@@ -204,12 +210,12 @@ impl Tables {
         (self.chosen, self.conditions, self.noise) = (true, conditions, *noise);
     }
 
-    /// The conditions that hold, once there are any.
+    /// The current conditions, if any were chosen.
     pub fn chosen(&self) -> Option<Conditions> {
         self.chosen.then_some(self.conditions)
     }
 
-    /// Forgets the conditions and all weights.
+    /// Discards the conditions and all weights.
     pub fn forget(&mut self) {
         self.chosen = false;
         self.sets.clear();
@@ -226,8 +232,8 @@ impl Tables {
         self.conditions
     }
 
-    /// Index of the weights for a disc of this radius, made if need be, and variances for a contrast of one level, px²:
-    /// from white noise and from grain. `None` if there are no weights.
+    /// Index of the weights for a disc of this radius, computed if needed, and variances for a contrast
+    /// of one level, px²: from white noise and from grain. `None` if there are no weights.
     #[inline]
     pub fn find(&mut self, radius_px: f64) -> Option<(usize, [f64; 2])> {
         let step = (radius_px * (1.0 / RADIUS_STEP_PX) + 0.5) as usize;
@@ -248,14 +254,14 @@ impl Tables {
         &self.sets[index]
     }
 
-    /// The weights of one kind for one place within the pixel.
+    /// Weights of one kind for one sub-pixel position.
     #[inline]
     pub fn kernel(&self, set: &Set, place: usize, kind: Kind) -> &[i16] {
         let count = numbers(set.side);
         &self.numbers[set.first + (place * KINDS + kind as usize) * count..][..count]
     }
 
-    /// -1 where a pixel counts, otherwise 0.
+    /// -1 for pixels used, otherwise 0.
     #[inline]
     pub fn mask(&self, set: &Set) -> &[i16] {
         let count = numbers(set.side);
@@ -312,7 +318,8 @@ impl Tables {
         Some(self.sets.len() - 1)
     }
 
-    /// Fills a set's kernels: units of displacement, contrast and form, bend, and gains of coordinates and response.
+    /// Fills a set's kernels. Returns the units of displacement, contrast and form, the bend, and the
+    /// gains of coordinates and response.
     fn fill(
         &mut self,
         first: usize,
@@ -327,11 +334,11 @@ impl Tables {
         let half = PLACES / 2;
         let off = |k: usize| (k as f64 + 0.5) / PLACES as f64 - 0.5;
         let sizes = SIZES.map(|size| size * noise.grain_size_px);
-        // Of a quarter of the places those on its diagonal and above it; the others are mirror images.
+        // Of a quarter of the positions, those on its diagonal and above; the others are mirror images.
         for (row, column) in (half..PLACES).flat_map(|row| (row..PLACES).map(move |column| (row, column))) {
             let at = DVec2::new(off(column), off(row));
             self.design.run(&self.disc, support, at, 0.25 * f64::from(self.conditions.dot_slope))?;
-            // One of its neighbours stands for all: others differ little.
+            // One pair of neighbours represents all, since they differ little.
             if (row, column) == (half, half) {
                 self.design.keep_x();
             } else if (row, column) == (half, half + 1) {
@@ -345,7 +352,7 @@ impl Tables {
                 let weights = &self.design.weights;
                 bend += weights.bends_per_px2[usize::from(transposed)] / (half * half) as f64;
                 if (row, column) == (half, half) {
-                    // Others differ little; 1/2 leaves room.
+                    // The units of other positions differ little; 1/2 is the margin.
                     let unit = |list: &[f64]| {
                         list.iter().fold(0.0, |most: f64, &w| most.max(abs(w)))
                             / (0.5 * f64::from(MAX_WEIGHT))
@@ -370,12 +377,12 @@ impl Tables {
     }
 }
 
-/// Numbers of a set whose support has so many pixels on a side.
+/// Entries of a set whose support has `side` pixels per side.
 const fn needed(side: usize) -> usize {
     (PLACES * PLACES * KINDS + 1) * numbers(side)
 }
 
-/// How the weights of another place follow: columns and rows swapped first, then mirrored about the middle column or row.
+/// Derivation of another position's weights: transposed first, then mirrored about the middle column or row.
 #[derive(Clone, Copy)]
 struct Mirror {
     left: bool,
@@ -383,7 +390,7 @@ struct Mirror {
     transposed: bool,
 }
 
-/// Writes the kernels of one place.
+/// Writes the kernels of one position.
 fn write(kernels: &mut [i16], weights: &Weights, units: &[f64; 3], side: usize, mirror: Mirror) {
     let Mirror { left, up, transposed } = mirror;
     let (x, y) = if transposed { (&weights.y, &weights.x) } else { (&weights.x, &weights.y) };
@@ -395,7 +402,7 @@ fn write(kernels: &mut [i16], weights: &Weights, units: &[f64; 3], side: usize, 
         (&weights.radius, 1.0 / units[2]),
         (&weights.blur, 1.0 / units[2]),
     ];
-    // Where the first number comes from, and those a row and a column further.
+    // Index of the first entry's source, and the steps per row and column.
     let (row_step, column_step) = if transposed { (1, side) } else { (side, 1) };
     let from = |row: usize, column: usize| {
         let row = if up { side - 1 - row } else { row };
@@ -403,13 +410,13 @@ fn write(kernels: &mut [i16], weights: &Weights, units: &[f64; 3], side: usize, 
         row * row_step + column * column_step
     };
     for (kernel, (list, per_unit)) in kernels.chunks_exact_mut(numbers(side)).zip(lists) {
-        // What rounding leaves goes to the next pixel, so that sums and slopes stay right.
+        // The rounding error is carried to the next pixel, so that sums and slopes stay accurate.
         let mut left_over = 0.0;
         for (row, kernel) in kernel.chunks_exact_mut(columns(side)).take(side).enumerate() {
             for (column, kernel) in kernel.iter_mut().take(side).enumerate() {
                 let exact = list[from(row, column)] * per_unit;
                 if exact != 0.0 {
-                    // Its last bits are the whole number, which fits 31 of them by far.
+                    // The lowest bits are the integer, which fits well within 31 bits.
                     let lifted = exact + left_over + LIFT;
                     left_over += exact - (lifted - LIFT);
                     *kernel = (lifted.to_bits() as i32).clamp(-MAX_WEIGHT, MAX_WEIGHT) as i16;

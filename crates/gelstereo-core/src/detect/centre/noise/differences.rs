@@ -1,20 +1,20 @@
-//! Differences between pixels of a row of gel, from which its noise is known.
+//! Differences between gel pixels of a row, from which the noise is estimated.
 
 use crate::detect::mask::bit_rows::BitRow;
 use core::ops::Range;
 
-/// Differences from which the slope of the light is taken: few enough that it is the same for all of them, and enough that
-/// the noise of their mean, of which a share of 4 stretches / differences² is lost with it, is below a percent.
+/// Differences per estimate of the light's slope: few enough that the slope is constant, and enough that
+/// the noise lost with their mean, a share of 4 stretches / differences², is below a percent.
 pub(super) const SLOPE_DIFFERENCES: usize = 20;
-/// Fewer say nothing.
+/// Least number of differences used.
 pub(super) const MIN_DIFFERENCES: usize = 16;
 /// Distances at which pixels are compared.
 const LAGS: [usize; 3] = [1, 2, 4];
-/// Half of the farthest.
+/// Half of the largest lag.
 pub(super) const HALF_LAG_PX: usize = LAGS[2] / 2;
 
-/// Differences of the gel of one row, of which all that is `clearance_px` and [`HALF_LAG_PX`] near to a marker is set: in
-/// pieces in which the slope of the light is one. Too short ones are left out.
+/// Passes the gel differences of one row to `tell`, in pieces of constant light slope; pieces that are
+/// too short are left out. `near` must be set up to `clearance_px` + [`HALF_LAG_PX`] from any marker.
 pub(super) fn each_piece(
     levels: &[u8],
     near: &BitRow,
@@ -23,7 +23,8 @@ pub(super) fn each_piece(
 ) {
     let mut piece = Differences::default();
     for clear in near.clear_stretches() {
-        // What is left has its farthest partner clear of the next marker. The row ends as a marker begins.
+        // The farthest partner of each remaining pixel is clear of the next marker. Row ends count as
+        // markers.
         let mut start = clear.start.saturating_sub(HALF_LAG_PX).max(clearance_px);
         let end = (clear.end + HALF_LAG_PX).min(levels.len().saturating_sub(clearance_px));
         while end > start + LAGS[2] {
@@ -49,7 +50,7 @@ pub(super) struct Differences {
     pub levels: u64,
     sums: [i64; 3],
     squares: [u64; 3],
-    /// Pixels that are in a sum of differences once: all others cancel. Half of them.
+    /// Half the number of pixels that do not cancel in the sum of differences.
     ends: [usize; 3],
 }
 
@@ -59,19 +60,19 @@ impl Differences {
         let count = self.count as f64;
         core::array::from_fn(|lag| {
             let (sum, square) = (self.sums[lag] as f64, self.squares[lag] as f64);
-            // White noise of variance s² leaves 2 s² in each square, and 2 s² for each pair of ends in the square of the
-            // sum. The part that is lost with the mean is larger for far pixels: it would be missed as grain.
+            // White noise of variance s² adds 2 s² to each square, and 2 s² per pair of ends to the
+            // squared sum. The part lost with the mean grows with the lag and would bias the grain.
             (square - sum * sum / count) / (1.0 - self.ends[lag] as f64 / (count * count))
         })
     }
 
-    /// Adds a stretch of gel, longer than the farthest lag, of a row.
+    /// Adds a gel stretch of a row that is longer than the farthest lag.
     fn add(&mut self, row: &[u8], gel: Range<usize>) {
         let stretch = &row[gel.clone()];
         let count = stretch.len() - LAGS[2];
         self.count += count;
         for ((sum, ends), lag) in self.sums.iter_mut().zip(&mut self.ends).zip(LAGS) {
-            // All pixels but the first ones less all but the last ones: what both have is left out.
+            // Sum over all but the first pixels minus sum over all but the last: the common part cancels.
             let both = lag.min(count);
             let last = stretch[count.max(lag)..][..both].iter();
             *sum += last.zip(stretch).map(|(&end, &start)| i64::from(end) - i64::from(start)).sum::<i64>();
@@ -94,10 +95,10 @@ impl Differences {
     }
 }
 
-/// Pixels whose squares are added at once, and those that they are compared with too.
+/// Pixels whose squares are added at once, and with their comparison pixels.
 const LANES: usize = 32;
 const SPAN: usize = LANES + LAGS[2];
-/// From place [`LANES`] - n on it lets n pixels through.
+/// From index [`LANES`] - n on, it passes n pixels.
 const MASK: [u8; 2 * LANES] = {
     let (mut mask, mut x) = ([0; 2 * LANES], 0);
     while x < LANES {
@@ -106,8 +107,8 @@ const MASK: [u8; 2 * LANES] = {
     mask
 };
 
-/// Squared differences of the pixels that a mask lets through from those at a lag. Differences as bytes, and products of 16
-/// bits: there are instructions for both, which are found in a function of its own.
+/// Squared differences between the masked pixels and those at a lag. Byte differences and 16-bit products
+/// compile to vector instructions only in a separate function.
 #[inline(never)]
 fn squares<const LAG: usize>(pixels: &[u8; SPAN], mask: &[u8; LANES]) -> u32 {
     let mut apart = [0; LANES];
@@ -131,8 +132,8 @@ mod tests {
     use alloc::vec::Vec;
     use proptest::prelude::*;
 
-    /// A row of gel in stretches of these lengths, with a marker of this width after each: how long it is, and what is near
-    /// to markers.
+    /// A row of gel stretches of these lengths, each followed by a marker of this width: its length, and
+    /// the pixels near markers.
     fn masked(gel: &[usize], marker: usize, clearance: usize) -> (usize, BitRow) {
         let mut near = BitRow::default();
         let length = gel.iter().sum::<usize>() + gel.len() * marker;
@@ -157,8 +158,8 @@ mod tests {
     }
 
     proptest! {
-        /// White noise has the same variance at all distances, whatever its mean difference took. Of independent pixels
-        /// of variance 1 the mean of a sum of squares is the sum of what it is of each pixel alone: no chance is left.
+        /// White noise has the same variance at all lags after mean removal. For independent pixels of
+        /// variance 1, the mean of a sum of squares is the sum over single pixels, so the test is exact.
         #[test]
         fn a_slope_takes_no_more_noise_from_far_pixels_than_from_near_ones(
             gel in prop::collection::vec(14..90_usize, 1..12), marker in 1..12_usize, clearance in 1..5_usize,
@@ -177,7 +178,7 @@ mod tests {
             }
         }
 
-        /// Light that rises evenly along the row leaves what differences leave without it.
+        /// A linear light slope along the row does not change the differences' variance.
         #[test]
         fn a_slope_of_light_is_no_noise(
             gel in prop::collection::vec(14..40_usize, 1..5), marker in 1..12_usize, level in 0..20_u8,
@@ -195,7 +196,7 @@ mod tests {
     }
 
     proptest! {
-        /// Against one pair after the other, for lengths about those that are added at once, at either end of a row too.
+        /// Agrees with a pair-by-pair sum, for lengths around the vector length and at either end of a row.
         #[test]
         fn differences_add_up(
             row in prop::collection::vec(any::<u8>(), 5..4 * LANES), before in 0..9_usize, after in 0..40_usize

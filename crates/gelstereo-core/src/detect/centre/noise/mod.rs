@@ -1,4 +1,4 @@
-//! Noise of the image, measured on the gel between the markers.
+//! Image noise, measured on the gel between the markers.
 
 mod differences;
 
@@ -14,38 +14,40 @@ use differences::{Differences, HALF_LAG_PX, MIN_DIFFERENCES, SLOPE_DIFFERENCES, 
 
 /// Variance of rounding to whole grey levels: no image has less noise.
 const ROUNDING_LEVELS2: f64 = 1.0 / 12.0;
-/// Pixels between the gel that counts and a marker's pixels: out of any blurred edge.
+/// Distance of the gel used from a marker's pixels, beyond any blurred edge.
 pub(in crate::detect) const CLEARANCE_PX: usize = 4;
-/// The least of it where markers stand close: 3 px from the outline behind a blur of 0.8 px, 0.01 % of a marker's contrast
-/// is left.
+/// Least distance if markers are close: at 3 px from the outline and a blur of 0.8 px, 0.01 % of a
+/// marker's contrast is left.
 const MIN_CLEARANCE_PX: usize = 3;
-/// Pairs of pixels between the markers from which the noise is known to 5 %, twice as well as it must be, and from which faint
-/// grain is too; with fewer all gel of the image counts.
+/// Pixel pairs between the markers that give the noise to 5 %, twice as well as needed, and pairs that
+/// also give faint grain. With fewer than the first, all gel of the image is used.
 const ENOUGH_PAIRS: u64 = 1000;
 const PLENTY_PAIRS: u64 = 16_000;
-/// Size of grain of about a pixel behind a lens that blurs by about a pixel, and the spread of its logarithm.
+/// Prior of the grain size (grain of about a pixel, blurred by about a pixel), and the spread of its
+/// logarithm.
 const USUAL_SIZE_PX: f64 = 1.3;
 const SPREAD_OF_SIZES: f64 = 0.4;
-/// Logarithm of the largest size over the usual one: 4.3 px and 0.4 px. Coarser grain is light, finer grain is white.
+/// Limit on the logarithm of the size over the usual one: 0.4 to 4.3 px. Coarser grain is light, finer
+/// grain is white.
 const LARGEST_LOG_SIZE: f64 = 1.2;
-/// Grain is believed to differ by at most this factor from that of the gel on which it was measured.
+/// Largest ratio between the grain at a gel level and the measured one.
 const MAX_SHARE: f64 = 16.0;
-/// Rows in which even faint grain shows.
+/// Rows in which even faint grain is detected.
 pub(in crate::detect) const ENOUGH_ROWS: usize = 240;
-/// Pieces that are farther from the median than this many times the median distance from it show something else than gel.
+/// Outlier limit for pieces that are not gel, in median absolute deviations from the median.
 const MAX_OFF: f64 = 7.0;
 
-/// White noise, and grain whose neighbouring pixels are alike: variances in squared grey levels.
+/// White noise and correlated grain: variances in squared grey levels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Noise {
-    /// Variance of the noise that differs from pixel to pixel.
+    /// Variance of the noise that is independent between pixels.
     pub white_levels2: f64,
-    /// Variance of the grain where the gel has the level `gel_level`. It is of the surface: in twice the light it has
-    /// twice the contrast.
+    /// Variance of the grain where the gel has the level `gel_level`. Grain belongs to the surface: in
+    /// twice the light it has twice the contrast.
     pub grain_levels2: f64,
     /// The grain's correlation at distance d is exp(-d² / (4 l²)) with this l.
     pub grain_size_px: f64,
-    /// Level of the gel that the variances are for, grey levels; 0 when unknown.
+    /// Gel level to which the variances apply, grey levels; 0 if unknown.
     pub gel_level: f64,
 }
 
@@ -69,24 +71,24 @@ impl Noise {
         self.white_levels2 + self.grain_levels2
     }
 
-    /// Variance of the grain over `grain_levels2`, where the gel has another level.
+    /// Ratio of the grain variance at another gel level to `grain_levels2`.
     pub(in crate::detect) fn grain_share(&self, gel_level: f64) -> f64 {
         let share = if self.gel_level > 0.0 { gel_level / self.gel_level } else { 1.0 };
         (share * share).clamp(1.0 / MAX_SHARE, MAX_SHARE)
     }
 
-    /// The same noise where the gel has another level.
+    /// The same noise at another gel level.
     pub(super) fn at(&self, gel_level: f64) -> Self {
         let grain_levels2 = self.grain_levels2 * self.grain_share(gel_level);
         Self { grain_levels2, gel_level, ..*self }
     }
 
-    /// The likeliest noise.
+    /// Most likely noise.
     ///
-    /// With x = exp(-1 / (4 l²)), half the variances of the differences of pixels 1, 2 and 4 px apart (a variogram
-    /// without its drift) are w + g (1 - x), w + g (1 - x^4), w + g (1 - x^16). Faint grain says too little about its
-    /// size l: that has the usual one as its prior. Of grain that explains no more than chance a part counts, as much as is real in
-    /// the mean: with a gain G in the sum of squares G / (1 + G) of it (James and Stein 1961).
+    /// With x = exp(-1 / (4 l²)), half the variances of the differences of pixels 1, 2 and 4 px apart (a
+    /// variogram without its drift) are w + g (1 - x), w + g (1 - x^4), w + g (1 - x^16). Faint grain hardly
+    /// determines its size l, which has a prior around the usual one. Grain is shrunk by G / (1 + G) for a
+    /// gain G in the sum of squares, so that chance fits count little (James and Stein 1961).
     fn from_variogram(variogram: &Variogram) -> Self {
         let Variogram { one, more: [two, four], sigma } = *variogram;
         let cost = |grain: f64, at: &[f64; 2]| {
@@ -121,13 +123,13 @@ impl Noise {
     }
 }
 
-/// Correlation of the grain of neighbouring pixels.
+/// Correlation of the grain between neighbouring pixels.
 fn correlation(size_px: f64) -> f64 {
     exp(-0.25 / (size_px * size_px))
 }
 
-/// Half the variance of the differences between neighbours, how much more it is 2 and 4 px apart, and the standard
-/// deviation of either of the latter.
+/// Half the variance of the differences between neighbours, its excess 2 and 4 px apart, and the standard
+/// deviation of either excess.
 #[derive(Clone, Copy, Debug)]
 struct Variogram {
     one: f64,
@@ -135,7 +137,7 @@ struct Variogram {
     sigma: f64,
 }
 
-/// How many rows to go on, to see so many of an image or a few more.
+/// Row step that samples `rows` rows of an image or a few more.
 pub(in crate::detect) const fn every_row_of(height: usize, rows: usize) -> usize {
     if height < 2 * rows { 1 } else { height / rows }
 }
@@ -149,10 +151,10 @@ pub(in crate::detect) struct NoiseMeter {
     scratch: Vec<f64>,
 }
 
-/// What one piece of gel says.
+/// Variogram of one piece of gel.
 #[derive(Clone, Copy, Debug)]
 struct Piece {
-    /// Half the variance of differences at the first lag, and how much more it is at the others.
+    /// Half the variance of differences at the first lag, and its excess at the others.
     entries: [f32; 3],
     pairs: u32,
 }
@@ -167,7 +169,7 @@ impl Piece {
     }
 }
 
-/// What all rows that were taken have.
+/// Sums over all rows used.
 #[derive(Clone, Copy, Debug, Default)]
 struct Total {
     pairs: u64,
@@ -176,8 +178,9 @@ struct Total {
 }
 
 impl NoiseMeter {
-    /// From the pixels of every so many rows of `image` that lie so many pixels off the set pixels of `mask`, among the markers
-    /// at `centres_px`: means over pieces, without those that a scratch or an edge reaches. `None` when there is no such gel.
+    /// Measures on each `every`-th row of `image`, at pixels `clearance_px` off the set pixels of `mask`,
+    /// among the markers at `centres_px`. Takes means over pieces, without outliers by scratches or
+    /// edges. `None` if there is no such gel.
     pub fn run(
         &mut self,
         image: GrayView<'_>,
@@ -194,10 +197,10 @@ impl NoiseMeter {
         })
     }
 
-    /// As [`Self::run`]; `cover` sets the pixels of one row that have some of the mask in the same column of these rows.
+    /// As [`Self::run`]; `cover` sets the pixels of a row whose column is in the mask in any of these rows.
     ///
-    /// What lies around the lattice (tray, mount, walls, light that falls off) is no gel: it counts only where too little gel
-    /// is clear among the markers.
+    /// What surrounds the lattice (tray, mount, walls, light that falls off) is not gel. It is used only
+    /// if too little gel is clear among the markers.
     pub fn run_rows(
         &mut self,
         image: GrayView<'_>,
@@ -206,7 +209,7 @@ impl NoiseMeter {
         mut cover: impl FnMut(RangeInclusive<usize>, &mut BitRow),
     ) -> Option<Noise> {
         self.pieces.clear();
-        // More rows among the markers are only looked at where these have too few pairs.
+        // More rows among the markers are used only if these have too few pairs.
         let rows_px = (image.height() / every + 1) * (image.width() / SLOPE_DIFFERENCES + 1);
         self.pieces.reserve(rows_px.max(every * PLENTY_PAIRS as usize / MIN_DIFFERENCES));
         self.scratch.clear();
@@ -214,7 +217,7 @@ impl NoiseMeter {
         let glares = image.reaches(GLARE_LEVEL);
         let mut cover = |rows: RangeInclusive<usize>, near: &mut BitRow| {
             cover(rows.clone(), near);
-            // A light's reflection is no gel, and hides markers: it is clear of their mask.
+            // A light's reflection is not gel and hides markers, which the mask then lacks.
             if glares {
                 rows.step_by(2).for_each(|row| near.set_bright(image.row(row), GLARE_LEVEL));
             }
@@ -226,7 +229,8 @@ impl NoiseMeter {
             if some.pairs >= PLENTY_PAIRS {
                 return self.noise(&some);
             }
-            // Among close markers few rows are clear: all are looked at, and closer to the markers where these are still few.
+            // Among close markers few rows are clear: use all, and closer to the markers if that is still
+            // too few.
             let expected = every as u64 * some.pairs;
             for (clearance_px, is_worth_it, enough) in
                 [(clearance_px, expected >= PLENTY_PAIRS, PLENTY_PAIRS), (least_px, true, ENOUGH_PAIRS)]
@@ -243,7 +247,7 @@ impl NoiseMeter {
         self.noise(&all)
     }
 
-    /// Takes what these columns of rows say.
+    /// Collects the pieces in these columns of rows.
     fn take_rows(
         &mut self,
         image: GrayView<'_>,
@@ -261,7 +265,7 @@ impl NoiseMeter {
             }
             self.near.start(width);
             cover(y - clearance_px..=y + clearance_px, &mut self.near);
-            // Most gaps between markers are too short to say anything: they close.
+            // Most gaps between markers are too short for a piece; this closes them.
             self.near.widen(clearance_px + HALF_LAG_PX);
             self.near.set(0..counted.start);
             self.near.set(counted.end..width);
@@ -275,17 +279,18 @@ impl NoiseMeter {
         total
     }
 
-    /// Of the rows that were taken.
+    /// Noise from the collected pieces.
     fn noise(&mut self, total: &Total) -> Option<Noise> {
         let (one, more) = (self.mean(0)?, [self.mean(1)?, self.mean(2)?]);
         let pairs = total.pairs as f64;
-        // In white noise, as the difference of two covariances of so many pairs.
+        // In white noise, as the difference of two covariances of this many pairs.
         let sigma = (one + more[1].max(0.0)).max(ROUNDING_LEVELS2) * sqrt(2.0 / pairs);
         let noise = Noise::from_variogram(&Variogram { one, more, sigma });
         Some(Noise { gel_level: total.levels as f64 / pairs, ..noise })
     }
 
-    /// Mean of an entry over the rows, each as often as it has pairs; a median would be too small, for variances are skewed.
+    /// Mean of an entry over the pieces without outliers, weighted by pairs. A median would be too small,
+    /// since variances are skewed.
     fn mean(&mut self, entry: usize) -> Option<f64> {
         let Self { pieces, scratch, .. } = self;
         let mut middle = |value: &dyn Fn(&Piece) -> f64| {

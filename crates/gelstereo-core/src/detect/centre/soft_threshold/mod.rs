@@ -1,9 +1,10 @@
-//! How well the centres of [`Centre::Band`](crate::params::Centre::Band) are known.
+//! Variances of the soft-threshold centroids of [`Centre::Band`](crate::params::Centre::Band).
 //!
-//! Such a centre answers to the pixels of the marker's edge, and of the window's corners, by known weights: its variance is that
-//! of their sum in the image's noise and grain. White noise counts by the marker's own contrast: by its square, and by more where
-//! noise is so strong that gel gets weights. Grain is of the paint, and fades with the light as the contrast does, so that its part
-//! is the same for all markers.
+//! Such a centroid is a weighted sum of the pixels at the marker's edge and in the window's corners, with
+//! known weights. Its variance is that of the sum in the image's noise and grain. White noise counts
+//! relative to the marker's own contrast: by its square, and by more if noise is so strong that gel gets
+//! weights. Grain is in the paint and scales with the light like the contrast, so its part is the same
+//! for all markers.
 
 mod profile;
 
@@ -23,16 +24,18 @@ use crate::params::{DetectParams, Polarity};
 use alloc::vec::Vec;
 use profile::{Profile, Variances};
 
-/// Rows from which noise is measured: in half as many the grain that matters most beside noise of 18 levels is seldom seen.
+/// Rows from which noise is measured. With half as many, the grain that matters beside noise of 18 levels
+/// is seldom detected.
 const NOISE_ROWS: usize = 80;
-/// Markers from whose windows the profile is taken, spread evenly: some 80 pixels in each ring of the edge.
+/// Markers whose windows give the profile, spread evenly: some 80 pixels in each ring of the edge.
 const SAMPLES: usize = 12;
 
-/// Variance of 1 / band² over its square by noise of the band's own size: the band is half the contrast of the darkest pixel, the
-/// least of some twenty, whose deviation is half that of one (Tippett 1925), and of the corners' mean of 36 or so.
+/// Variance of 1 / band² over its square, for noise equal to the band. The band is half the contrast
+/// between the corners' mean of 36 pixels or so and the darkest pixel, the least of some twenty, whose
+/// standard deviation is half a pixel's (Tippett 1925).
 const SCATTER: f64 = 4.0 * 0.25 * (0.25 + 1.0 / 36.0);
 
-/// What was last learned of an image.
+/// What was last learned from an image.
 #[derive(Clone, Debug)]
 struct BandNoise {
     learned: Option<Learned>,
@@ -41,24 +44,25 @@ struct BandNoise {
 #[derive(Clone, Copy, Debug)]
 struct Learned {
     variances: Variances,
-    /// What is the same for all markers: grain, and the model's own error.
+    /// Part that is the same for all markers: grain and the model's own error.
     others_px2: f64,
     usual: Usual,
 }
 
-/// How markers of an image differ in their bands.
+/// Distribution of the bands over the markers of an image.
 #[derive(Clone, Copy, Debug)]
 struct Usual {
     /// Mean of 1 / band² over all of them.
     per_band2: f64,
-    /// Share of a marker's own difference from it that its variance follows.
+    /// Share of a marker's own deviation from it that its variance follows.
     own: f64,
 }
 
 impl Usual {
-    /// Noise makes bands differ too, and of these differences a variance follows half: at the same contrast the centre answers less to
-    /// each pixel of a wider band, which holds more of them. The rest are differences of contrast (empirical Bayes: their share of
-    /// the variance over markers is what noise does not explain).
+    /// Noise makes bands differ too, and the variance follows half of these differences: at the same
+    /// contrast, a wider band makes the centre less sensitive to each pixel but contains more pixels. The
+    /// rest are differences of contrast (empirical Bayes: their share of the variance over markers is the
+    /// part not explained by noise).
     fn of(bands: &[u8], noise_share: f64) -> Option<Self> {
         let (mut count, mut sum, mut squares) = (0.0, 0.0, 0.0);
         for band in bands.iter().filter(|&&band| band > 0).map(|&band| f64::from(band)) {
@@ -83,7 +87,7 @@ impl BandNoise {
         self.learned = None;
     }
 
-    /// Learns from some of these markers, and from the bands of all, in an image of this noise.
+    /// Learns from some of these markers, and from the bands of all, in an image with this noise.
     fn learn(
         &mut self,
         image: GrayView<'_>,
@@ -121,10 +125,11 @@ impl BandNoise {
         });
     }
 
-    /// Variance of a coordinate of a marker with this contrast between the band's ends; what is typed while nothing was learned.
+    /// Variance of a coordinate of a marker with this band; `typed_px2`, the configured one, before
+    /// anything was learned.
     ///
-    /// A centre without a band is that of a marker which something else touches, noise even: it is known no better than the
-    /// usual one alone, nor than what is typed.
+    /// A marker without a band is touched by something else, possibly noise. Its variance is at least
+    /// that of the usual marker and at least `typed_px2`.
     fn variance_px2(&self, band: u8, typed_px2: f64) -> f64 {
         let Some(Learned { variances, others_px2, usual }) = self.learned else { return typed_px2 };
         let Variances { white, per_band2, power, .. } = variances;
@@ -133,14 +138,14 @@ impl BandNoise {
         }
         let own = 1.0 / (f64::from(band) * f64::from(band));
         let ratio = (usual.per_band2 + usual.own * (own - usual.per_band2)) / per_band2;
-        // To second order from one upwards; and downwards its inverse, which stays positive.
+        // Second-order expansion above one; below one its inverse, which stays positive.
         let raised = |more: f64| 1.0 + power * more * (1.0 + 0.5 * (power - 1.0) * more);
         let grown = if ratio >= 1.0 { raised(ratio - 1.0) } else { 1.0 / raised(1.0 / ratio - 1.0) };
         white * grown + others_px2
     }
 }
 
-/// Centroids with the weights of a soft threshold, how well they are known, and scratch.
+/// Soft-threshold centroids with their variances, and scratch.
 #[derive(Clone, Debug)]
 pub(in crate::detect) struct SoftThreshold {
     polarity: Polarity,
@@ -148,12 +153,12 @@ pub(in crate::detect) struct SoftThreshold {
     weighted: WeightedCentroid,
     meter: NoiseMeter,
     noise: BandNoise,
-    /// Of each marker that a window showed, [`WindowMarker::band`]; else 0.
+    /// [`WindowMarker::band`] of each marker found by the window classifier, 0 for others.
     bands: Vec<u8>,
 }
 
 impl SoftThreshold {
-    /// With these settings.
+    /// Creates the rung from its settings.
     pub fn new(params: &DetectParams) -> Self {
         Self {
             polarity: params.polarity,
@@ -165,21 +170,21 @@ impl SoftThreshold {
         }
     }
 
-    /// Begins an image of at most so many markers.
+    /// Starts an image of at most `max_markers` markers.
     pub fn start(&mut self, image: GrayView<'_>, max_markers: usize) {
         self.weighted.reserve(image.height());
         self.bands.clear();
         self.bands.reserve(max_markers);
     }
 
-    /// Lists a marker that a window showed. Its variance is not known before [`Self::state_variances`].
+    /// Appends a marker found by the window classifier. Its variance is set by [`Self::state_variances`].
     pub fn push(&mut self, marker: &WindowMarker, out: &mut Markers) {
         self.bands.push(marker.band);
         out.push(marker.centre_px, self.variance_px2, marker.area_px2);
     }
 
-    /// Learns how well the listed markers of one size are known, and states it. The image's components are those of one
-    /// that is smaller by `scale`.
+    /// Computes and sets the variances of the listed markers of one size. The components are those of the
+    /// image reduced by `scale`.
     pub fn state_variances(
         &mut self,
         image: GrayView<'_>,
@@ -205,7 +210,7 @@ impl SoftThreshold {
 }
 
 impl CentreRung for SoftThreshold {
-    /// By windows where these show whole markers, else by the intensity of the component.
+    /// Uses windows that show whole markers, otherwise the intensity-weighted centroid of the component.
     fn centre_components(&mut self, found: &mut Found<'_>, out: &mut Markers) {
         let size = MarkerSize::of(found.filter.usual_px2);
         let classifier = size.map(|size| SizedClassifier::new(size, self.polarity));
@@ -248,7 +253,8 @@ mod tests {
     const NOISE_SHARE: f64 = 0.25;
     const CONTRAST: f64 = 140.0;
 
-    /// Bands of markers whose contrasts differ evenly by this share, by the darkest of twenty pixels beside the mean of 36.
+    /// Bands of markers with contrasts uniform within this share, from the darkest of twenty pixels and
+    /// the mean of 36.
     fn bands(differ: f64) -> Vec<u8> {
         let mut stream = Stream::new(7, "bands");
         let noise = NOISE_SHARE * 0.5 * CONTRAST;
@@ -260,7 +266,8 @@ mod tests {
         (0..20_000).map(band).collect()
     }
 
-    /// Noise alone explains all; beside contrasts that differ by d evenly, of variance d² / 3, its share.
+    /// Noise alone explains everything; beside contrasts uniform within ±d, of variance d² / 3, it
+    /// explains its share.
     #[test]
     fn bands_that_differ_by_noise_count_for_half() {
         let own = |bands: &[u8]| Usual::of(bands, NOISE_SHARE).unwrap().own;
@@ -271,7 +278,7 @@ mod tests {
         assert!(own(&bands(0.5)) > 0.9 && Usual::of(&[0, 0], NOISE_SHARE).is_none());
     }
 
-    /// To the second order of the power, and no better than others where there is no band.
+    /// Correct to second order of the power, and no better than others without a band.
     #[test]
     fn faint_markers_are_known_less_and_those_without_a_band_no_better_than_usual() {
         let per_band2 = 1.0 / 4900.0;

@@ -1,4 +1,4 @@
-//! How a marker's weights fall off with the distance from its centre, and what noise does to the centre of such weights.
+//! Radial profile of a marker's weights, and the effect of noise on the centroid with such weights.
 
 use crate::detect::centre::noise::Noise;
 use crate::detect::window::classifier::Frame;
@@ -10,14 +10,14 @@ const RINGS: usize = 64;
 const RING_PX: f64 = 0.25;
 /// Variance of rounding weights to whole grey levels, as the image's levels are.
 const ROUNDING_LEVELS2: f64 = 1.0 / 12.0;
-/// Grain that is less alike than e to the minus this is not counted.
+/// Grain correlations below exp(-UNLIKE) are neglected.
 const UNLIKE: f64 = 8.0;
-/// Nor are rings whose pixels answer by less: a ten-thousandth of what those of the edge do.
+/// Rings whose pixels have less sensitivity are neglected: a ten-thousandth of that at the edge.
 const MIN_ANSWER: f64 = 1e-4;
 
-/// Places along a quarter of a pixel, which has all that others do by symmetry.
+/// Positions per axis in one quadrant of a pixel, which by symmetry represents the others.
 const PLACES: usize = 3;
-/// Least deviation of a share for which its mean is taken.
+/// Least deviation of a share for which its mean is computed.
 const MIN_DEVIATION: f64 = 1e-3;
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -27,8 +27,9 @@ struct Ring {
     shares: f64,
 }
 
-/// Mean shares of the band around the centres of some markers: over a ring of some markers the noise of single pixels is averaged
-/// out, and over places within a pixel what those few pixels of an edge that lie within the band differ by.
+/// Mean shares of the band around the centres of some markers. Averaging over a ring of several markers
+/// removes pixel noise, and averaging over sub-pixel positions removes the sampling of the few edge
+/// pixels within the band.
 #[derive(Clone, Debug)]
 pub(super) struct Profile {
     rings: [Ring; RINGS],
@@ -40,22 +41,22 @@ pub(super) struct Profile {
     frame: Option<Frame>,
 }
 
-/// Variances of a coordinate, px²: from white noise and from grain, of a marker of the usual band.
+/// Variances of a coordinate, px², from white noise and from grain, for a marker of the usual band.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Variances {
     pub white: f64,
     pub grain: f64,
     /// Mean of 1 / band².
     pub per_band2: f64,
-    /// Power of 1 / band² by which the part of white noise grows: one where noise keeps pixels within the band, and more where
-    /// gel gets into it; never less, as noise beyond the band would have it.
+    /// Exponent of 1 / band² for the growth of the white noise part: one if noise keeps pixels within the
+    /// band, more if gel enters it. Limited to one from below; noise beyond the band would give less.
     pub power: f64,
     /// Standard deviation of a pixel over the band.
     pub noise_share: f64,
 }
 
 impl Profile {
-    /// Of discs of about this radius.
+    /// Creates an empty profile for discs of about this radius.
     pub fn new(radius_px: f64) -> Self {
         Self {
             rings: [Ring::default(); RINGS],
@@ -75,7 +76,7 @@ impl Profile {
         ring.shares += share;
     }
 
-    /// The window whose pixels were added.
+    /// Completes the window whose pixels were added.
     pub fn close(&mut self, frame: Frame) {
         self.windows += 1.0;
         self.per_band2 += 1.0 / (frame.band * frame.band);
@@ -83,20 +84,21 @@ impl Profile {
         self.frame = Some(frame);
     }
 
-    /// Mean share of a ring; that of the gel where there are no pixels.
+    /// Mean share of a ring; that of the gel if it has no pixels.
     fn share(&self, ring: usize) -> f64 {
         let Ring { pixels, shares } = self.rings[ring];
         if pixels > 0.0 { shares / pixels } else { self.frame.map_or(0.0, |frame| frame.gel_share) }
     }
 
-    /// Variances in this noise; `None` where there is no marker.
+    /// Variances in this noise; `None` if there is no marker.
     ///
-    /// The centre is Σ w p / Σ w over pixels p of weights w, which are the shares kept to 0..=1. To first order it answers to the
-    /// noise n of a pixel by P p / Σ w, with P the probability that noise leaves the pixel within the band; and to the slope of
-    /// the gel, which is the difference of its corners, by A = Σ P x² / Σ w. White noise: Σ var(w) x² / (Σ w)² with the variance
-    /// of the kept weight itself, which is less than P times the noise's; A² times the variance of the slope; and less for what
-    /// the corners, which are among the pixels, have in both. Grain is the same, but neighbours are alike; P serves, for it is small
-    /// beside the band.
+    /// The centre is Σ w p / Σ w over pixels p with weights w, which are the shares clamped to 0..=1. To
+    /// first order its sensitivity to the noise of a pixel is P p / Σ w, with P the probability that the
+    /// pixel stays within the band. Its sensitivity to the gel's slope, the difference of the corners, is
+    /// A = Σ P x² / Σ w. White noise gives Σ var(w) x² / (Σ w)² with the variance of the clamped weight,
+    /// which is below P times the noise's. To this add A² times the variance of the slope, and subtract
+    /// the covariance of both, since the corners are among the pixels. Grain gives the same with
+    /// correlated neighbours; P suffices, since grain is small relative to the band.
     pub fn variances(&self, noise: &Noise) -> Option<Variances> {
         let frame = self.frame?;
         let per_band2 = self.per_band2 / self.windows;
@@ -105,17 +107,17 @@ impl Profile {
         let grain = grain_levels2 * per_band2;
         let noise_share = sqrt(white + grain);
         let (mut weight, mut slope, mut edge) = (0.0, 0.0, 0.0);
-        // Their derivatives by the logarithm of all noise's variance.
+        // Their derivatives with respect to the logarithm of the total noise variance.
         let (mut weight_grows, mut slope_grows, mut edge_grows) = (0.0, 0.0, 0.0);
-        // Of each ring, what its pixels answer by, and its radius.
+        // Sensitivity of each ring's pixels, and its radius.
         let mut answers = [(0.0, 0.0); RINGS];
         for (n, (ring, answer)) in self.rings.iter().zip(&mut answers).enumerate() {
             if !(ring.pixels > 0.0) {
                 continue;
             }
             let distance_px2 = (n as f64 + 0.5) / self.per_px2;
-            // The shares of a ring's pixels are spread evenly between those of its neighbours: two halves, each with the variance of
-            // what is left.
+            // Shares in a ring are taken as uniform between those of its neighbours: two halves, each
+            // with the remaining variance.
             let steep = 0.5 * (self.share((n + 1).min(RINGS - 1)) - self.share(n.saturating_sub(1)));
             let spread = steep * steep / 48.0;
             let mut answers_by = 0.0;
@@ -167,14 +169,15 @@ impl Profile {
 }
 
 impl Profile {
-    /// Mean squared error of a coordinate without any noise: weights that begin and end within a pixel follow the grid.
+    /// Mean squared error of a coordinate without noise: weights that grow within a pixel depend on the
+    /// pixel grid.
     ///
-    /// That is the mean of (Σ w p / Σ w)² over places of the centre within a pixel, for weights by the distance alone, as
-    /// noise of this deviation rounds them off.
+    /// It is the mean of (Σ w p / Σ w)² over sub-pixel positions of the centre, for weights that depend
+    /// on the distance only, smoothed by noise of this deviation.
     pub fn grid_error_px2(&self, noise_share: f64) -> f64 {
         let deviation = noise_share.max(MIN_DEVIATION);
         let weights: [f64; RINGS] = core::array::from_fn(|ring| Kept::of(self.share(ring), deviation).mean);
-        // Rings are of equal area; between their middles weights are taken as straight.
+        // Rings are of equal area; weights are linear between their middles.
         let weight_at = |distance_px2: f64| {
             let at = (distance_px2 * self.per_px2 - 0.5).max(0.0);
             let (ring, part) = (at as usize, at - floor(at));
@@ -200,24 +203,24 @@ impl Profile {
         let place = |n: usize| (n as f64 + 0.5) / (2 * PLACES) as f64;
         let mean_px2 =
             places.map(|(x, y)| error_px2(place(x), place(y))).sum::<f64>() / (PLACES * PLACES) as f64;
-        // Means over rings of width w, and lines between them, smooth the weights by a variance of w² / 12 + w² / 6, and what
-        // repeats with the pixels falls in amplitude by exp(-2 π² w² / 4).
+        // Means over rings of width w, and linear interpolation, smooth the weights by a variance of
+        // w² / 12 + w² / 6. The amplitude of what repeats with the pixels falls by exp(-2 π² w² / 4).
         let outline = weights.iter().position(|&weight| weight < 0.5).unwrap_or(RINGS) as f64;
         let width_px2 = 0.25 / (outline.max(1.0) * self.per_px2);
         mean_px2 * exp(PI * PI * width_px2)
     }
 }
 
-/// A normal variable that is kept to 0..=1.
+/// Moments of a normal variable clamped to 0..=1.
 struct Kept {
     mean: f64,
     variance: f64,
-    /// How often it need not be.
+    /// Probability that it is not clamped.
     within: f64,
     growth: Growth,
 }
 
-/// Derivatives by the variance of the variable before it is kept.
+/// Derivatives with respect to the variance of the unclamped variable.
 struct Growth {
     mean: f64,
     variance: f64,
@@ -234,7 +237,7 @@ impl Kept {
         let first = mean * within + at_low - at_high + above;
         let second =
             (mean * mean + deviation * deviation) * within + mean * at_low - (mean + 1.0) * at_high + above;
-        // Of the mean of any g it is that of g'' / 2, which has steps of slope at both ends.
+        // The derivative of the mean of g is the mean of g'' / 2; clamping has steps of slope at both ends.
         let per = 0.5 / (deviation * deviation);
         let mean_grows = (at_low - at_high) * per;
         let growth = Growth {
@@ -246,16 +249,16 @@ impl Kept {
     }
 }
 
-/// What a point at a distance s has in common with a ring of radius r in grain of variance 1, whose correlation
-/// exp(-d² / (4 l²)) is averaged over the ring with the cosine of the angle: exp(-(r² + s²) / (4 l²)) I1(r s / (2 l²)). `None`
-/// where that is nothing.
+/// Covariance of a point at distance s with a ring of radius r in grain of variance 1. The correlation
+/// exp(-d² / (4 l²)) is averaged over the ring with the cosine of the angle:
+/// exp(-(r² + s²) / (4 l²)) I1(r s / (2 l²)). `None` if negligible.
 fn alike(r: f64, s: f64, grain_size_px: f64) -> Option<f64> {
     let per_l2 = 0.25 / (grain_size_px * grain_size_px);
     let unlike = (r - s) * (r - s) * per_l2;
     (unlike < UNLIKE).then(|| exp(-unlike) * bessel_i1_scaled(2.0 * per_l2 * r * s))
 }
 
-/// Rings of these answers that have any, with their radii.
+/// Rings with a non-negligible sensitivity, with their radii.
 fn felt(answers: &[(f64, f64)]) -> impl Iterator<Item = (usize, (f64, f64))> {
     answers.iter().copied().enumerate().filter(|(_, (answer, _))| *answer > MIN_ANSWER)
 }
@@ -272,7 +275,7 @@ fn around(answers: &[(f64, f64); RINGS], grain_size_px: f64) -> f64 {
     sum
 }
 
-/// What the pixels of one corner have in common with the rings, each by the cosine of its angle.
+/// Covariance of the pixels of one corner with the rings, each times the cosine of its angle.
 fn near_corner(answers: &[(f64, f64); RINGS], frame: &Frame, grain_size_px: f64) -> f64 {
     let (corner, outermost) = (frame.corner_px as usize, 0.5 * (frame.apart_px + frame.corner_px - 1.0));
     let mut sum = 0.0;
@@ -289,7 +292,7 @@ fn near_corner(answers: &[(f64, f64); RINGS], frame: &Frame, grain_size_px: f64)
     sum
 }
 
-/// Sum over all pairs of so many pixels in a row of what they have in common in grain of variance 1.
+/// Sum of the correlations over all pairs of `pixels` adjacent pixels in a row, in grain of variance 1.
 fn side_alike(pixels: usize, grain_size_px: f64) -> f64 {
     let per_l2 = 0.25 / (grain_size_px * grain_size_px);
     let at = |apart: usize| exp(-per_l2 * (apart * apart) as f64);

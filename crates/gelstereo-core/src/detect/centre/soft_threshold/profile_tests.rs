@@ -1,4 +1,4 @@
-//! The profile against the mean marker and its places within a pixel.
+//! Compares the profile with the mean marker and with sub-pixel positions.
 
 use super::{Frame, Kept, Profile, RING_PX, bessel_i1_scaled};
 use crate::detect::centre::noise::Noise;
@@ -10,12 +10,12 @@ const SIDE: usize = 16;
 const CORNER: usize = 3;
 const GEL_SHARE: f64 = -0.4;
 
-/// Share of the band at a distance from a disc's centre, behind a blur of 0.86 px: 2.5 bands of contrast.
+/// Share of the band at a distance from a disc's centre, with a blur of 0.86 px: 2.5 bands of contrast.
 fn share(radius_px: f64, distance_px: f64) -> f64 {
     GEL_SHARE + 2.0 * 0.5 * (1.0 - erf((distance_px - radius_px) / (0.86 * core::f64::consts::SQRT_2)))
 }
 
-/// Pixels of a window about a centre so far from its middle: places from the centre.
+/// Pixels of a window, relative to a centre at this offset from its middle.
 fn places([x, y]: [f64; 2]) -> Vec<[f64; 2]> {
     let middle = 0.5 * (SIDE as f64 - 1.0);
     let at = |n: usize, off: f64| n as f64 - middle - off;
@@ -26,7 +26,7 @@ fn phases() -> impl Iterator<Item = [f64; 2]> {
     (0..64).map(|n| [f64::from(n % 8) / 8.0 - 0.4375, f64::from(n / 8) / 8.0 - 0.4375])
 }
 
-/// Variance of x pixel by pixel, from white noise and from grain, mean over places within a pixel.
+/// Variance of x pixel by pixel, from white noise and from grain, mean over sub-pixel positions.
 fn reference(radius_px: f64, band: f64, noise: &Noise) -> [f64; 2] {
     let white = (noise.white_levels2 + 1.0 / 12.0) / (band * band);
     let grain = noise.grain_levels2 / (band * band);
@@ -50,7 +50,7 @@ fn reference(radius_px: f64, band: f64, noise: &Noise) -> [f64; 2] {
         let plane = |n: usize| per * end(n % SIDE) * abs(end(n / SIDE));
         let answer = |n: usize| plane(n) - kept[n].within * places[n][0] / weight;
         for n in 0..places.len() {
-            // Beyond its first order a pixel's own noise is nobody else's.
+            // The part beyond first order is independent between pixels.
             let x = places[n][0] / weight;
             let more = kept[n].variance - (white + grain) * kept[n].within * kept[n].within;
             sums[0] += white * answer(n) * answer(n) + more * x * x;
@@ -75,14 +75,14 @@ fn profile(radius_px: f64, band: f64) -> Profile {
     profile
 }
 
-/// What a profile approximates: the marker in the mean over places within a pixel, which is a marker on pixels of an eighth. White
-/// noise, grain, and what of the grain rings hold that the window cuts, or the corners have in common with the marker.
+/// Marker that a profile approximates: the mean over sub-pixel positions, sampled on pixels of an eighth.
+/// White noise, grain, and the grain in rings cut by the window or shared by the corners and the marker.
 struct MeanMarker {
     white: f64,
     grain: f64,
     cut: f64,
     common: f64,
-    /// Part of white noise and grain that comes by the slope of the gel.
+    /// Part of white noise and grain that is due to the slope of the gel.
     tilted: [f64; 2],
     weight: f64,
 }
@@ -101,7 +101,7 @@ fn mean_marker(radius_px: f64, band: f64, noise: &Noise) -> MeanMarker {
     let per = squares.sum::<f64>() / 64.0 / weight / (2 * CORNER * CORNER * (SIDE - CORNER)) as f64;
     let end = |n: usize| f64::from(u8::from(n >= SIDE - CORNER)) - f64::from(u8::from(n < CORNER));
     let plane = |n: usize| per * end(n % SIDE) * abs(end(n / SIDE));
-    // What each pixel of a window has in common with its corners.
+    // Covariance of each pixel of a window with its corners.
     let cornered: Vec<f64> = (0..SIDE * SIDE)
         .map(|n| {
             let apart = |m: usize| [m % SIDE, m / SIDE].map(|k| k as f64);
@@ -129,7 +129,7 @@ fn mean_marker(radius_px: f64, band: f64, noise: &Noise) -> MeanMarker {
         let common = 2.0 * cornered[pixel(n)] * answers[n] / 64.0 * grain;
         sums.grain += common + around(n) / (64.0 * 64.0) * grain;
         sums.common += abs(common);
-        // The side of a window is so near where its marker is half a pixel off its middle.
+        // The side of a window is this near if its marker is half a pixel off its middle.
         if sqrt(x * x + y * y) > 0.5 * SIDE as f64 - 0.9375 {
             sums.cut += abs(common);
         }
@@ -150,21 +150,24 @@ fn noise_of(white_levels2: f64, grain_levels2: f64) -> Noise {
     Noise { white_levels2, grain_levels2, grain_size_px: 1.38, gel_level: 150.0 }
 }
 
-/// Width of the edge over which weights grow, px: where the blurred contrast is between 0.2 and 0.7 of all.
+/// Width of the edge over which weights grow, px: where the blurred contrast is between 0.2 and 0.7 of
+/// the total.
 const EDGE_PX: f64 = (0.8416 + 0.5244) * 0.86;
 
-/// Rings and integrals around them against the mean marker on pixels of an eighth, which they approximate.
+/// Rings and integrals around them against the mean marker that they approximate, on pixels of an eighth.
 ///
-/// White noise: shares of half a ring, even over a width of variance σ², are taken for normal ones, so that Var(kept | noise)
-/// loses <P>² σ² for its mean, not <P²> σ². Where weights end, P = Φ(z / s) in noise s, and ∫ <P²> - <P>² = (t - s) / π^0.5 with
-/// t² = s² + σ²: at both ends together at most 2 σ² (t - s) / π^0.5 more than the white noise over the band. A ring's points
-/// lie off its middle by the mean of so many, which is less than if they lay at random: three such deviations to either side.
+/// White noise: uniform shares within half a ring, of variance σ², are taken as normal. Var(kept | noise)
+/// then loses <P>² σ² instead of <P²> σ². Where weights end, P = Φ(z / s) in noise s, and
+/// ∫ <P²> - <P>² = (t - s) / π^0.5 with t² = s² + σ². Both ends together give at most 2 σ² (t - s) / π^0.5
+/// more than the white noise over the band. The points of a ring are off its middle by their mean, less
+/// than random points would be: three such deviations to either side are allowed.
 ///
-/// Grain: of an edge of width w, a ring of width δ that is half in it is put a quarter of δ outwards, which makes the variance of radii
-/// larger by up to δ² / 4, and that within rings is left out, δ² / 12: of two radii twice that, by half the kernel's curvature
-/// 1 / (2 l²). What corners have in common with the marker is taken from the window's middle, off which markers are by 1 / 12 px² in
-/// either direction: half the kernel's Laplacian, largest at the outermost pixel. And it is spread evenly over rings that the window
-/// cuts, whose pixels lie by the corners: at most all that these have is missing.
+/// Grain: for an edge of width w, a ring of width δ half inside it is placed δ / 4 too far out. This adds
+/// up to δ² / 4 to the variance of radii; that within rings, δ² / 12, is neglected. Two radii give twice
+/// that, times half the kernel's curvature 1 / (2 l²). The covariance of corners and marker assumes a
+/// centred marker, while markers are off by 1 / 12 px² in either direction: half the kernel's Laplacian,
+/// largest at the outermost pixel. It is also spread evenly over rings cut by the window, whose pixels
+/// lie near the corners: at most the whole of these rings is missing.
 #[test]
 fn variances_are_those_of_the_mean_marker() {
     for (radius_px, band, white_levels2, grain_levels2) in CASES {
@@ -194,13 +197,14 @@ fn variances_are_those_of_the_mean_marker() {
     }
 }
 
-/// The mean marker against every pixel and every pair of pixels, where in a pixel its centre may lie: these variances, of squares of
-/// what differs from place to place, are larger.
+/// The mean marker against sums over all pixels and pairs, averaged over sub-pixel positions. The latter
+/// variances are larger by the squares of the position-dependent terms.
 ///
-/// By Poisson's summation a sum over the grid's pixels differs from place to place by the Fourier transform of its terms
-/// at the wave vectors 2π n. Of x P on an edge of radius r and width w that is at most 2π r² cos ψ J1(q r) B(q) with J1² <= 2 / (π q r)
-/// and B <= 2 / q, q = 2π |n|, of which grain of variance 1 shows the square; and of x² P, π r³ w in the mean,
-/// 2π r³ cos² ψ J0(q r) B(q). Sums over all n of |n|^-3 are 9.034, of cos² ψ half of that, of cos⁴ ψ less.
+/// By Poisson's summation, a sum over the grid's pixels varies with the position by the Fourier transform
+/// of its terms at the wave vectors 2π n. For x P on an edge of radius r and width w that is at most
+/// 2π r² cos ψ J1(q r) B(q) with J1² <= 2 / (π q r) and B <= 2 / q, q = 2π |n|; grain of variance 1
+/// contributes its square. For x² P, of mean π r³ w, it is 2π r³ cos² ψ J0(q r) B(q). Sums over all n of
+/// |n|^-3 are 9.034, of cos² ψ half of that, of cos⁴ ψ less.
 #[test]
 fn what_differs_from_place_to_place_adds_little_to_the_mean_marker() {
     const ALIASES: f64 = 9.034 / (8.0 * PI * PI * PI);
@@ -219,7 +223,7 @@ fn what_differs_from_place_to_place_adds_little_to_the_mean_marker() {
     }
 }
 
-/// Against differences of the same profile in slightly more noise: what a fainter marker of this shape has, over its band.
+/// Against differences of the same profile in slightly more noise, as for a fainter marker of this shape.
 #[test]
 fn the_power_is_by_how_much_white_noise_grows() {
     for (white_levels2, grain_levels2) in [(4.0, 4.0), (324.0, 0.01), (324.0, 40.0)] {
@@ -233,7 +237,7 @@ fn the_power_is_by_how_much_white_noise_grows() {
     }
 }
 
-/// Against sums over a normal distribution, and differences between them and others.
+/// Against numerical integrals over a normal distribution, and finite differences.
 #[test]
 fn kept_variables_have_these_moments() {
     for (mean, deviation) in [(-0.4, 0.25), (0.1, 0.05), (0.5, 1.0), (1.2, 0.3)] {

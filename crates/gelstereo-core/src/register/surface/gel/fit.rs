@@ -10,7 +10,7 @@ use super::rest::{DECAY_LOGS, Rest};
 use crate::register::surface::candidate::{Candidate, End};
 use crate::register::surface::contact::Samples;
 use crate::register::surface::distances::{Coarse, Exact, Foot, Line, UNDER_MM};
-use crate::register::surface::mixture::{Likelihood, STRAY_MM};
+use crate::register::surface::mixture::{Likelihood, MIN_OUTLIERS, STRAY_MM};
 use crate::register::surface::normal_system::{Normal, Prior};
 
 use crate::math::{DVec3, abs, exp, sqrt};
@@ -24,8 +24,6 @@ pub(in crate::register::surface) const DECAY_SIGMA: f64 = 0.6;
 const GAP_SHARE: f64 = 0.5;
 /// Standard deviation of a uniform position between two markers, in pitches: 1 / √12.
 pub(in crate::register::surface) const BETWEEN: f64 = 0.288_675;
-/// Smallest outlier share, even where no outliers are expected.
-const MIN_OUTLIERS: f64 = 1e-3;
 /// Finite difference step of the final steps.
 pub(in crate::register::surface) const LAST_SCALE_MM: f64 = 0.04;
 /// Convergence limit of the gain in log-likelihood, however far the pose still moves along free

@@ -13,9 +13,9 @@
 //!   the marker's own position, along the line between the two. The error is the part of it that moves
 //!   the crease beyond the marker, times the difference of the slopes. It is at most that of a crease
 //!   anywhere between the two, 1 / √12 of the distance.
-//! - A marker may be free. Contact lifts it over the height of free gel with the same neighbours. The
-//!   error is the part of the pose uncertainty that moves the face below that height. It is at most that
-//!   of a face anywhere down to the rest height, 1 / √3 of the marker's height.
+//! - A marker may be out of contact. Contact lifts it over the height of free gel with the same
+//!   neighbours. The error is the part of the pose uncertainty that moves the face below that height. It
+//!   is at most that of a face anywhere down to the rest height, 1 / √3 of the marker's height.
 //!
 //! The pose uncertainty is computed in passes. The first assumes creases anywhere, and counts only
 //! markers that are surely lifted or surrounded by their own face. The next includes markers whose face

@@ -1,9 +1,9 @@
 //! Gel model between the markers: predicted gel height over an indenter (membrane obstacle problem).
 //!
 //! The gel is a Pasternak foundation (springs joined by a shear layer; Pasternak 1954) above an obstacle.
-//! Its height h over the rest plane obeys h - l² Δh = p and is nowhere below the part. The pressure p >=
-//! 0 is positive only where they are in contact. Projected over-relaxation (Cryer 1971) solves it with
-//! the markers as nodes. The contact set follows from the pose, not from the noise of the markers:
+//! Its height h over the rest plane obeys h - l² Δh = p and is nowhere below the part. The pressure
+//! p >= 0 is positive only where they are in contact. Projected over-relaxation (Cryer 1971) solves it
+//! with the markers as nodes. The contact set follows from the pose, not from the noise of the markers:
 //! selecting those that happen to lie near the part would bias the pose towards them.
 
 use super::lattice::{Lattice, Node, Sweeps};
@@ -28,7 +28,7 @@ pub(in crate::register::surface) struct Gel {
     lattice: Lattice,
     /// (l / pitch)².
     stiffness: f64,
-    /// As [`RegisterParams::gel_scale`](crate::params::RegisterParams::gel_scale).
+    /// As [`AdvancedRegisterParams::gel_scale`](crate::params::AdvancedRegisterParams::gel_scale).
     scale: f64,
 }
 
