@@ -67,7 +67,8 @@ hole_diameter_mm = 9.6
 rows = 13
 cols = 13
 """
-SEEDS = range(1, 21)
+#: 25 s each on two cores; `GELSTEREO_VM_SEEDS=20` for the documented ones.
+SEEDS = range(1, 1 + int(os.environ.get("GELSTEREO_VM_SEEDS", "8")))
 # The camera's time limit of the task, and what an emulated computer adds.
 MAX_MOTION_S = 8.0
 
@@ -200,7 +201,7 @@ def test_the_drivers_are_the_kernels(vm: Vm) -> None:
     assert vm.serial["driver"] == "ftdi_sio", vm.serial
 
 
-def test_twenty_seeds_are_inserted_or_refused_with_a_reason(vm: Vm) -> None:
+def test_seeds_are_inserted_or_refused_with_a_reason(vm: Vm) -> None:
     begun, lines = time.monotonic(), []
     for seed in SEEDS:
         with task(vm, seed) as cell:

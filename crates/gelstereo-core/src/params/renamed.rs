@@ -33,7 +33,10 @@ pub fn renamed_setting(path: &str) -> Option<&'static str> {
 /// The method that replaces one that was dropped from a setting.
 #[must_use]
 pub fn replaced_method(path: &str, method: &str) -> Option<&'static str> {
-    METHODS.iter().find(|(setting, former, _)| *setting == path && *former == method).map(|(.., present)| *present)
+    METHODS
+        .iter()
+        .find(|(setting, former, _)| *setting == path && *former == method)
+        .map(|(.., present)| *present)
 }
 
 /// The former name of a setting or method that a parser does not know, by its last part, and what to write now.
