@@ -31,9 +31,9 @@ def test_one_worker_needs_no_library(expected: list[Record], monkeypatch: pytest
     for name in ("joblib", "distributed", "dask"):
         monkeypatch.setitem(sys.modules, name, None)
     assert run_batch(draw, TRIALS) == expected
-    with pytest.raises(BatchError, match=r"joblib.*gelstereo\[batch\].*1 worker"):
+    with pytest.raises(BatchError, match=r"joblib.*\./bench\[batch\].*1 worker"):
         run_batch(draw, TRIALS, workers=2)
-    with pytest.raises(BatchError, match=r"distributed.*gelstereo\[batch\]"):
+    with pytest.raises(BatchError, match=r"distributed.*\./bench\[batch\]"):
         run_batch(draw, TRIALS, scheduler_address="tcp://127.0.0.1:8786")
 
 

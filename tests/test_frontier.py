@@ -341,6 +341,7 @@ def test_instructions_are_counted_and_repeat_exactly(tmp_path: Path) -> None:
     assert counter.count("frames", files) == sum(each)
 
 
+@pytest.mark.long
 @pytest.mark.skipif(shutil.which("cargo") is None, reason="cargo is absent")
 def test_the_cores_program_times_every_stage(tmp_path: Path) -> None:
     program = Stopwatch.program(ROOT)

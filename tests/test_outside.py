@@ -159,6 +159,7 @@ def test_contacts_by_finite_elements_are_the_listed_ones() -> None:
     assert stages == {"w": 104, "j": 108}
 
 
+@pytest.mark.long
 def test_solids_touch_the_gel_where_they_say_and_are_nowhere_in_it() -> None:
     """Nodes that touch all round are near the part; friction keeps to Coulomb's law."""
     gels = table("contacts.toml")["gels"]

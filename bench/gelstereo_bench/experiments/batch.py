@@ -91,9 +91,9 @@ def run_batch(
     trials
         Two of the same configuration and seed are run once.
     workers
-        Processes on this machine. More than one needs joblib (extra ``batch``).
+        Processes on this machine. More than one needs joblib (``pip install ./bench[batch]``).
     scheduler_address
-        Of a dask scheduler, whose workers then run the trials (extra ``batch``).
+        Of a dask scheduler, whose workers then run the trials (``pip install ./bench[batch]``).
     store
         Keeps every finished trial, and knows those of earlier runs.
     progress

@@ -1,7 +1,7 @@
 """Recordings of a real sensor: contacts, radii, templates registered to them, and how steady their poses are.
 
 Run ``python -m gelstereo_bench.reports.recordings`` to fill docs/real-recordings.md and draw its pictures; it needs the
-recordings of the wheel pytac3d (``pip install --no-deps pytac3d==3.3.0.9``) and the extra ``bench``.
+recordings of the wheel pytac3d (``pip install --no-deps pytac3d==3.3.0.9``).
 """
 
 from __future__ import annotations
