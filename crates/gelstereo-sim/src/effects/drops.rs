@@ -19,7 +19,7 @@ use gelstereo_core::math::random::Stream;
 pub struct DroppedFrames {
     /// These frames, counted from 0. Default: none.
     pub frames: Vec<usize>,
-    /// And every other one with this probability, but never the first. Default: `0`.
+    /// Probability that any other frame is dropped; the first one never is. Default: `0`.
     pub rate: f64,
 }
 

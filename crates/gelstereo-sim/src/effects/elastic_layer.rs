@@ -23,9 +23,9 @@ pub struct ElasticLayer {
     pub poisson_ratio: f64,
     /// Coulomb's coefficient between part and gel; 0 lets everything slip. Default: `0.8`.
     pub friction: f64,
-    /// Cells that the contact is solved on, per pitch of the markers. Default: `2`.
+    /// Cells of the contact problem per marker pitch. Default: `2`.
     pub cells_per_pitch: usize,
-    /// How far beside the outermost markers the part may press, in pitches. Default: `2`.
+    /// Margin beyond the outermost markers within which the part may press, in pitches. Default: `2`.
     pub border_pitches: usize,
 }
 

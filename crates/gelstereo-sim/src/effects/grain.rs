@@ -20,7 +20,7 @@ use gelstereo_core::math::random::Stream;
 pub struct Grain {
     /// Standard deviation in grey levels. Default: `3`.
     pub sigma_levels: f64,
-    /// Standard deviation of the Gaussian that makes neighbouring pixels alike. Default: `1` px.
+    /// Standard deviation of the Gaussian that correlates neighbouring pixels. Default: `1` px.
     pub size_px: f64,
 }
 

@@ -4,10 +4,10 @@ use crate::plan::{Bound, Effect, Facts};
 use crate::scene::{Gel, SceneError};
 use gelstereo_core::math::{cos, round};
 
-/// Passes each image through a baseline JPEG codec, as cameras with MJPEG do. Blocks of 8 by 8 pixels
-/// are transformed to cosines (ITU-T T.81, A.3). Their coefficients are rounded to multiples of the
-/// standard luminance table (K.1) at the codec's quality. The entropy coding that follows in a real file
-/// is lossless and omitted.
+/// Encodes and decodes each image with a baseline JPEG codec, as cameras with MJPEG do. Blocks of 8 by 8
+/// pixels are transformed to cosines (ITU-T T.81, A.3). Their coefficients are rounded to multiples of the
+/// standard luminance table (K.1) at the codec's quality. The entropy coding that follows in a real file is
+/// lossless and omitted.
 ///
 /// This is the last effect on the image: the other effects' bounds apply to the levels before it.
 #[derive(Clone, Debug, PartialEq)]

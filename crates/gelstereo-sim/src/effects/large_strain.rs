@@ -16,7 +16,7 @@ use crate::scene::{Gel, SceneError};
     serde(default, deny_unknown_fields)
 )]
 pub struct LargeStrain {
-    /// Most solves after the first. Default: `8`.
+    /// Largest number of solves after the first. Default: `8`.
     pub rounds: usize,
 }
 

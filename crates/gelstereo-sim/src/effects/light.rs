@@ -16,7 +16,7 @@ use gelstereo_core::math::DVec2;
     serde(default, deny_unknown_fields)
 )]
 pub struct UnevenLight {
-    /// Gain at the image's centre, which the other three are shares of. Default: `1`.
+    /// Gain at the image's centre. The other three settings are relative to it. Default: `1`.
     pub gain: f64,
     /// Change of the gain from the left edge to the right one. Default: `0.15`.
     pub across: f64,

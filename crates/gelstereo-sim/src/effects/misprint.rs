@@ -18,14 +18,14 @@ use gelstereo_core::math::{DVec2, cos, random::Stream, sin, sqrt};
     serde(default, deny_unknown_fields)
 )]
 pub struct Misprint {
-    /// Every dot is moved to a random point, evenly within this distance of its place. Default: `0`, at most a quarter
-    /// of the pitch.
+    /// Largest displacement of a dot. Displacements are uniformly distributed within this distance. Default:
+    /// `0`, at most a quarter of the pitch.
     pub shift_mm: f64,
-    /// Every radius is changed by a random share, evenly up to this one. Default: `0`, at most 0.5.
+    /// Largest relative change of a dot's radius, uniformly distributed. Default: `0`, at most 0.5.
     pub radius_share: f64,
-    /// (row, column, row, column) of neighbours that a bar of ink joins. Default: none.
+    /// (row, column, row, column) of neighbours that are joined by a bar of ink. Default: none.
     pub merged: Vec<[usize; 4]>,
-    /// Width of that bar over the dots' diameter. Default: `0.7`.
+    /// Width of that bar relative to the dots' diameter. Default: `0.7`.
     pub bridge_share: f64,
 }
 

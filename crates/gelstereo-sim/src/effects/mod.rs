@@ -150,41 +150,41 @@ macro_rules! effects {
 }
 
 effects! {
-    /// The gel sags softly beside the contact.
+    /// Soft shoulder of the gel beside the contact.
     shoulder: Shoulder,
-    /// The gel that a part displaces moves sideways.
+    /// Sideways motion of the gel that a part displaces.
     spread: Spread,
-    /// The surface follows the part's shear and twist.
+    /// Motion of the surface with the part's shear and twist.
     drag: Drag,
-    /// The gel deforms as an elastic layer: in place of shoulder, spread and drag.
+    /// Gel as an elastic layer; replaces shoulder, spread and drag.
     elastic_layer: ElasticLayer,
-    /// The layer relaxes under load and creeps back.
+    /// Viscoelastic relaxation of the elastic layer under load, and creep after release.
     relaxation: Relaxation,
-    /// The part meets the layer where that has moved to.
+    /// Large strains: contact with the displaced surface of the elastic layer.
     large_strain: LargeStrain,
-    /// Dots beside their places, of other sizes, or merged.
+    /// Printing errors: displaced dots, dots of other sizes, merged dots.
     misprint: Misprint,
-    /// Dots that are rubbed off.
+    /// Wear: dots shrink from their rims.
     wear: Wear,
-    /// Dirt on the gel.
+    /// Round specks of dust on the gel.
     specks: Specks,
     /// Grain of the paint.
     grain: Grain,
-    /// Light that is not the same everywhere.
+    /// Uneven illumination.
     uneven_light: UnevenLight,
-    /// Patches that hide markers for a while.
+    /// Patches of glare or dirt that hide markers temporarily.
     smears: Smears,
-    /// Blur of what moves.
+    /// Motion blur during the exposure.
     motion_blur: MotionBlur,
-    /// Blur of the lens.
+    /// Defocus blur of the lens.
     defocus: Defocus,
-    /// Noise of the light itself.
+    /// Photon shot noise.
     shot_noise: ShotNoise,
-    /// Noise of the image sensor.
+    /// Gaussian noise of the image sensor, independent of brightness.
     sensor_noise: SensorNoise,
-    /// What compression leaves of the images.
+    /// JPEG compression of the images.
     jpeg: Jpeg,
-    /// Frames that never arrive.
+    /// Dropped frames.
     dropped_frames: DroppedFrames,
 }
 

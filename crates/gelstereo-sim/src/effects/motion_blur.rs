@@ -19,7 +19,7 @@ use crate::scene::{Gel, SceneError};
     serde(default, deny_unknown_fields)
 )]
 pub struct MotionBlur {
-    /// How long the shutter is open. Default: `0.01` s.
+    /// Exposure time. Default: `0.01` s.
     pub exposure_s: f64,
 }
 

@@ -19,8 +19,8 @@ use alloc::vec::Vec;
     serde(default, deny_unknown_fields)
 )]
 pub struct Relaxation {
-    /// Shares of the modulus and the times over which they relax; together less than 1. Default: `0.1` over
-    /// `0.3` s and `0.1` over `3` s.
+    /// Prony series: fractions of the modulus, and the time constants with which they relax. The fractions
+    /// sum to less than 1. Default: `0.1` over `0.3` s and `0.1` over `3` s.
     pub terms: Vec<PronyTerm>,
 }
 

@@ -19,7 +19,7 @@ use gelstereo_core::math::{random::Stream, sqrt};
     serde(default, deny_unknown_fields)
 )]
 pub struct ShotNoise {
-    /// Electrons of level 255. Default: `10000`, 2.1 levels of noise at level 170.
+    /// Number of electrons at level 255. Default: `10000`, 2.1 levels of noise at level 170.
     pub full_well_electrons: f64,
 }
 

@@ -21,14 +21,14 @@ use gelstereo_core::math::{DVec2, ceil, cos, floor, random::Stream, sin, sqrt};
     serde(default, deny_unknown_fields)
 )]
 pub struct Smears {
-    /// Patches in their places. Default: none.
+    /// Patches given one by one. Default: none.
     pub patches: Vec<Patch>,
-    /// Patches drawn at random for each view: place, direction, bright or dark, size (half of `half_size_px` to all
-    /// of it) and start, evenly over the image and the sequence. Default: `0`.
+    /// Number of random patches per view. Place, direction, brightness, size (half of `half_size_px` to all
+    /// of it) and start are uniformly distributed over the image and the sequence. Default: `0`.
     pub random: usize,
     /// Largest half length and half width of random patches. Default: `[40, 8]` px.
     pub half_size_px: [f64; 2],
-    /// How long a random patch lasts. Default: `0.2` s.
+    /// Duration of a random patch. Default: `0.2` s.
     pub lasting_s: f64,
 }
 
@@ -84,23 +84,23 @@ impl Effect for Smears {
     serde(default, deny_unknown_fields)
 )]
 pub struct Patch {
-    /// Which images it is in. Default: `both`.
+    /// Views in which it appears. Default: `both`.
     pub views: Views,
     /// Column and row of its centre. Default: `[320, 240]` px.
     pub centre_px: [f64; 2],
-    /// Half length and half width, beyond which it is not there. Default: `[40, 8]` px.
+    /// Half length and half width; the patch is transparent beyond them. Default: `[40, 8]` px.
     pub half_size_px: [f64; 2],
     /// Direction of its length, from the image's x towards y, radians. Default: `0`.
     pub rotation_rad: f64,
-    /// Share of the half size over which it fades from its full opacity to nothing. Default: `0.5`.
+    /// Fraction of the half size over which it fades from full opacity to nothing. Default: `0.5`.
     pub soft_share: f64,
     /// Grey level of the patch. Default: `255`.
     pub level: u8,
-    /// How much of the gel it hides. Default: `1`, all.
+    /// Opacity. Default: `1`, opaque.
     pub opacity: f64,
-    /// From when. Default: `0` s.
+    /// Start time. Default: `0` s.
     pub from_s: f64,
-    /// Until when, itself excluded. Default: a day.
+    /// End time, exclusive. Default: a day.
     pub until_s: f64,
 }
 

@@ -19,9 +19,9 @@ use gelstereo_core::math::{DVec2, DVec3, random::Stream};
     serde(default, deny_unknown_fields)
 )]
 pub struct Specks {
-    /// How many. Default: `5`.
+    /// Number of specks. Default: `5`.
     pub count: usize,
-    /// Smallest and largest radius, drawn evenly. Default: `[0.06, 0.2]` mm.
+    /// Smallest and largest radius; radii are uniformly distributed between them. Default: `[0.06, 0.2]` mm.
     pub radius_mm: [f64; 2],
 }
 

@@ -18,11 +18,11 @@ use gelstereo_core::math::random::Stream;
     serde(default, deny_unknown_fields)
 )]
 pub struct Wear {
-    /// Share of the radius that is gone at time 0. Default: `0.2`.
+    /// Mean fraction of the radius worn off at time 0. Default: `0.2`.
     pub share: f64,
-    /// Share that goes every second. Default: `0`.
+    /// Mean fraction of the radius worn off per second. Default: `0`.
     pub share_per_s: f64,
-    /// How much dots differ. Default: `0.5`.
+    /// Spread of the wear between dots, as a fraction of the mean. Default: `0.5`.
     pub uneven_share: f64,
 }
 

@@ -27,24 +27,24 @@ pub struct Scene {
     pub seed: u64,
     /// Frames per second. Default: `30`.
     pub frame_rate_hz: f64,
-    /// How images are drawn. Default: `fast`.
+    /// Drawing method. Default: `fast`.
     pub images: Images,
-    /// Default: [`Scene::default_rig`].
+    /// Stereo cameras. Default: [`Scene::default_rig`].
     pub rig: Rig,
     /// The gel and its lattice.
     pub gel: Gel,
-    /// What presses, if anything. Default: nothing.
+    /// Part that presses into the gel. Default: none.
     pub indenter: Option<Shape>,
-    /// Effects that act; absent ones cost nothing. Default: none.
+    /// Active effects; absent ones cost nothing. Default: none.
     pub effects: Effects,
-    /// What is asked of it, and how exact; nothing means everything, exactly. Default: nothing.
+    /// Requested results with their tolerances. Without it, everything is computed exactly. Default: none.
     pub asked: Option<Asked>,
-    /// How its effects are switched. Default: as `asked` says.
+    /// Switches of the effects. Default: determined by `asked`.
     pub switches: Switches,
-    /// Poses over time, interpolated; empty means that nothing touches. Default: empty.
+    /// Poses of the part over time, interpolated. If empty, nothing touches the gel. Default: empty.
     pub trajectory: Vec<Keyframe>,
-    /// Motion of the gel before the cameras, `[[gel_motion]]` in a file, interpolated; empty means that it stands
-    /// still. Default: empty.
+    /// Motion of the gel relative to the cameras, `[[gel_motion]]` in a file, interpolated. If empty, the gel
+    /// does not move. Default: empty.
     pub gel_motion: Vec<GelKeyframe>,
 }
 
@@ -108,18 +108,18 @@ pub struct Gel {
     /// simulated.
     pub thickness_mm: f64,
     /// Rotation of the lattice in its plane from x towards y, radians. Valid: -7 to 7 rad. Default: `0`.
-    /// Change it to try a print that stands askew.
+    /// Change it to simulate a rotated print.
     pub rotation_rad: f64,
     /// (row, column), from 0, of markers that were not printed. Valid: 0 to 999, within the lattice. Default:
-    /// none. Set it to try a print with holes.
+    /// none. Set it to simulate a print with missing dots.
     pub missing: Vec<[usize; 2]>,
     /// Bright dots on a dark gel. Default: `false`. Set it together with `params.detect.polarity`.
     pub bright_dots: bool,
     /// Grey level of the darker of dot and gel, below `bright_level`. Valid: 0 to 254 grey levels. Default:
-    /// `50`. Raise it to try less contrast.
+    /// `50`. Raise it for less contrast.
     pub dark_level: u8,
-    /// Grey level of the brighter of the two. Valid: 1 to 255 grey levels. Default: `170`. Lower it to try
-    /// less contrast.
+    /// Grey level of the brighter of the two. Valid: 1 to 255 grey levels. Default: `170`. Lower it for less
+    /// contrast.
     pub bright_level: u8,
 }
 
@@ -149,10 +149,11 @@ impl Default for Gel {
 pub struct GelKeyframe {
     /// Time, seconds.
     pub time_s: f64,
-    /// From `gel.centre_mm`, sensor x and y. Default: none.
+    /// Shift from `gel.centre_mm`, sensor x and y. Default: none.
     #[cfg_attr(feature = "serde", serde(default))]
     pub shift_mm: [f64; 2],
-    /// Beyond `gel.rotation_rad`, about the lattice's centre and from x towards y, radians. Default: `0`.
+    /// Rotation added to `gel.rotation_rad`, about the lattice's centre, from x towards y, radians. Default:
+    /// `0`.
     #[cfg_attr(feature = "serde", serde(default))]
     pub rotation_rad: f64,
 }
