@@ -2,7 +2,7 @@
 
 A stereo camera looks through a clear gel at a lattice of printed markers. `Pipeline` turns its frames into tactile
 point clouds, `localize` registers the part of the cloud that is in contact to the held part's `Template`, and
-`SensorMount` takes the pose on to the gripper.
+`SensorMount` converts the pose to the gripper frame.
 
 Units and frames are in the names. Lengths are millimetres, angles radians; ``_px`` is pixels with the centre of the
 first pixel at (0, 0). ``t_a_b`` is a (4, 4) matrix that maps coordinates of frame b to frame a. The sensor frame is the

@@ -1,7 +1,7 @@
-"""From stereo images of a chessboard to a rig.
+"""Stereo calibration: from images of a chessboard to a rig.
 
-The board is flat and is held still while both cameras take a picture; ten or more poses, tilted in several directions
-and covering the whole image, make a good calibration. For a gel sensor the board is printed on a gel of its own
+The board must be flat, and stand still while both cameras take a picture. A good calibration takes ten or more poses
+that are tilted in several directions and cover the whole image. For a gel sensor, print the board on a separate gel
 (section II of the paper), because gel and acrylic bend light.
 """
 
@@ -81,7 +81,7 @@ def calibrate_stereo(
     Parameters
     ----------
     left_paths
-        Images of the left camera; paired with the right ones by the number in their names.
+        Images of the left camera. The numbers in the file names pair them with the right images.
     right_paths
         Images of the right camera.
     board
@@ -89,19 +89,18 @@ def calibrate_stereo(
     square_mm
         Side of a square.
     time_limit_s
-        Longest corner search in one image; the image is then left out, and named.
+        Time limit of the corner search in one image. An image that exceeds it is left out and reported.
     drop_outliers
-        Whether pairs whose error stands out are left out of a second calibration. They are named
-        either way.
+        Whether to calibrate a second time without outlying pairs. Outliers are reported in any case.
     refine_intrinsics
-        Whether the cameras' own parameters are fitted again together with the pair's.
+        Whether the intrinsic parameters are refined together with the stereo pose.
     progress
-        Called with (steps done, steps in all, what is being done).
+        Called with (steps done, total steps, description of the step).
 
     Raises
     ------
     CalibrationError
-        No calibration explains the corners; its subclasses name what is wrong with files, boards and pairs:
+        No calibration explains the corners. Subclasses state what is wrong with files, boards and pairs:
         `UnpairedImagesError`, `ImageError`, `BoardNotFoundError`, `TooFewPairsError`, `SwappedViewsError` and
         `MismatchedPairsError`.
     """
@@ -147,7 +146,7 @@ def calibrate_corners(
     refine_intrinsics: bool = True,
     progress: Progress | None = None,
 ) -> StereoCalibration:
-    """Calibrate a stereo pair from corners that were found elsewhere.
+    """Calibrate a stereo pair from detected corners.
 
     Parameters
     ----------
@@ -156,9 +155,9 @@ def calibrate_corners(
     size_px
         Width and height of the images.
     names
-        Of the pairs, for the report; otherwise "pair 0" and so on.
+        Names of the pairs in the report. Default: "pair 0" and so on.
 
-    The rest as `calibrate_stereo`.
+        Other parameters as in `calibrate_stereo`.
     """
     _check_board(board, square_mm)
     _check_corners(left_px, right_px, board)

@@ -1,8 +1,9 @@
-"""Least squares in which each marker has parameters of its own (Triggs et al., "Bundle adjustment", 2000).
+"""Sparse bundle adjustment with individual parameters for each marker (Triggs et al., "Bundle adjustment", 2000).
 
-A marker's own parameters are eliminated by the singular values of its derivatives by them. With singular values d and
-a prior variance v, the residuals have the covariance 1 + d² v along the left singular vectors, and 1 across: divided by
-its root they are independent again. What is not known beforehand has an infinite v, and drops out.
+A marker's own parameters are eliminated by a singular value decomposition of their Jacobian. With singular values d and
+a prior variance v, the residuals have the variance 1 + d² v along the left singular vectors, and 1 across them.
+Dividing by the standard deviation makes them independent. Parameters without a prior have an infinite v; the residuals
+along them drop out.
 """
 
 from __future__ import annotations
@@ -25,20 +26,20 @@ MAX_STEPS = 60
 
 @dataclass(frozen=True)
 class Linearised:
-    """A least-squares problem around one point; everything in units of its noise.
+    """A least-squares problem linearised at one point; all values are divided by their noise.
 
     Attributes
     ----------
     residual
         (N, 4) observed less predicted coordinates of each marker.
     jacobian
-        (N, 4, P) derivatives of the prediction by the shared parameters.
+        (N, 4, P) derivatives of the prediction with respect to the shared parameters.
     own
-        (N, 4, 2) those by the marker's own parameters.
+        (N, 4, 2) derivatives with respect to the marker's own parameters.
     own_variance
-        (N,) what these vary by, beforehand: infinite where nothing is known.
+        (N,) prior variance of the own parameters; infinite without a prior.
     prior_residual, prior_jacobian
-        (K,) and (K, P) of what is known beforehand of the shared parameters.
+        (K,) and (K, P) residuals and Jacobian of the priors of the shared parameters.
     """
 
     residual: Array
@@ -50,7 +51,7 @@ class Linearised:
 
     @property
     def is_free(self) -> npt.NDArray[np.bool_]:
-        """(N,) where nothing is known of the marker's own parameters."""
+        """(N,) whether the marker's own parameters have no prior."""
         return np.isinf(self.own_variance)
 
     @cached_property
@@ -69,7 +70,7 @@ class Linearised:
         return weights
 
     def reduced_jacobian(self) -> Array:
-        """Rows by the shared parameters, with every marker's own ones eliminated."""
+        """Jacobian of the shared parameters, with the markers' own parameters eliminated."""
         weights = self._weights()
         rows: Array = (self.turned[2] * weights[:, :, None])[weights > 0.0]
         return rows
@@ -86,11 +87,13 @@ class Linearised:
         return jacobian, np.concatenate([self.marker_residual(), self.prior_residual])
 
     def chi2(self) -> float:
-        """Sum of squares with every marker where it fits best."""
+        """Sum of squares with the markers' own parameters at their optimum."""
         return float((self.marker_residual() ** 2).sum() + (self.prior_residual**2).sum())
 
     def covariance(self, times: float = 1.0) -> Array:
-        """Of the shared parameters, with so many times the noise that was stated; 0 where there is no rank."""
+        """Covariance of the shared parameters, with the stated noise scaled by a factor; 0 where the problem is
+        singular.
+        """
         jacobian = np.concatenate([self.reduced_jacobian() / times, self.prior_jacobian])
         scale = 1.0 / np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
         inverse = np.linalg.pinv(jacobian * scale, rcond=1e-12)
@@ -98,7 +101,7 @@ class Linearised:
         return found
 
     def own_step(self, shared_step: Array) -> Array:
-        """(M, 2) best change of the free markers' own parameters beside a change of the shared ones."""
+        """(M, 2) optimal step of the free markers' own parameters for a given step of the shared ones."""
         left = self.residual[self.is_free] - self.jacobian[self.is_free] @ shared_step
         step: Array = np.einsum("mij,mj->mi", np.linalg.pinv(self.own[self.is_free]), left)
         return step
@@ -106,18 +109,18 @@ class Linearised:
 
 @dataclass(frozen=True)
 class Solution:
-    """Where the sum of squares is least.
+    """Minimum of the sum of squares.
 
     Attributes
     ----------
     shared, own
-        Shared parameters, and those of the free markers.
+        Shared parameters, and the own parameters of the free markers.
     covariance
-        Of the shared ones; where the problem has no rank it is 0, which the caller must have ruled out.
+        Covariance of the shared parameters. It is 0 where the problem is singular; callers must exclude that case.
     linearised
-        The problem there.
+        The problem linearised at the solution.
     chi2, degrees_of_freedom
-        Sum of the markers' squares, and what it and that of the priors should be together.
+        Sum of squared residuals of the markers, and the expected sum of these and the priors' squares.
     """
 
     shared: Array
@@ -129,12 +132,12 @@ class Solution:
 
 
 def minimise(linearise: Callable[[Array, Array], Linearised], start: tuple[Array, Array]) -> Solution:
-    """Levenberg's and Marquardt's method, with columns scaled to unit length.
+    """Levenberg-Marquardt method, with columns scaled to unit length.
 
     Raises
     ------
     CalibrationError
-        It does not come to rest.
+        The iteration does not converge.
     """
     (shared, own), damping = start, 1e-3
     at = linearise(shared, own)
@@ -145,7 +148,7 @@ def minimise(linearise: Callable[[Array, Array], Linearised], start: tuple[Array
         target = np.concatenate([residual, np.zeros(len(shared))])
         step = scale * np.linalg.lstsq(system, target, rcond=None)[0]
         there = _try(linearise, shared + step, own + at.own_step(step))
-        # Expected change of the sum, in units of the noise: 1e-4 of a standard deviation is rest.
+        # Convergence: the expected change of the sum corresponds to 1e-4 of a standard deviation.
         at_rest = float(np.linalg.norm(jacobian @ step)) < 1e-4
         if there is not None and there.chi2() <= at.chi2() * (1 + 1e-9):
             shared, own, at, damping = (
@@ -166,7 +169,7 @@ def minimise(linearise: Callable[[Array, Array], Linearised], start: tuple[Array
 
 
 def _try(linearise: Callable[[Array, Array], Linearised], shared: Array, own: Array) -> Linearised | None:
-    """The problem there, or None where the parameters mean nothing (an index below 1, say)."""
+    """The problem linearised there, or None for invalid parameters (for example an index below 1)."""
     try:
         return linearise(shared, own)
     except ValueError:

@@ -1,4 +1,4 @@
-"""Whether the pairs agree with one another, and what they leave unseen."""
+"""Consistency checks between pairs, and hints on missing coverage."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ __all__ = ["coverage_hints", "held_out_errors", "outlying", "refuse_contradictio
 
 Array = npt.NDArray[np.float64]
 
-#: A pair contradicts the others when the rig that the others agree on misses its corners by this many times what is
-#: usual, and by at least this many pixels. The usual error is a fraction of a pixel to a few; a pair of different
-#: moments is off by tens.
+#: A pair contradicts the others if the rig from the other pairs misses its corners by this factor over the usual error,
+#: and by at least this many pixels. Usual errors are below a few pixels. A pair from different moments is off by tens
+#: of pixels.
 _CONTRADICTION_RATIO = 10.0
 _CONTRADICTION_PX = 5.0
 #: An image is an outlier when its error exceeds this many times its view's median.
@@ -40,8 +40,8 @@ def refuse_contradictions(
 ) -> None:
     """Refuse swapped views, swapped pairs, and pairs whose two images show different moments.
 
-    Every pair gives the pose of the right camera by its two board poses. The pose that explains most pairs is taken
-    for the rig's, and every pair is held against it.
+    The two board poses of a pair determine the pose of the right camera. The pose that explains most pairs is taken as
+    the rig's. Every pair is compared with it.
     """
     poses = [_relative_pose(object_mm, a, b, left, right) for a, b in zip(left_px, right_px, strict=True)]
     boards = [board_pose(object_mm, corners, left.matrix, left.distortion) for corners in left_px]
@@ -88,11 +88,11 @@ def _relative_pose(
 def _transfer_px(
     object_mm: Array, board: tuple[Array, Array], right_px: Array, pose: tuple[Array, Array], right: Mono
 ) -> float:
-    """Rms distance of the right view's corners from where the left view's board would project."""
+    """Rms distance of the right view's corners from the projection of the board located in the left view."""
     in_left = object_mm @ board[0].T + board[1]
     in_right = in_left @ pose[0].T + pose[1]
     if in_right[:, 2].min() <= 0.0:
-        return 1e6  # behind the camera: as wrong as can be, yet comparable
+        return 1e6  # behind the camera: a large finite error, so that it stays comparable
     difference = project(in_right, right.matrix, right.distortion) - right_px
     return float(np.sqrt(np.mean(np.sum(difference**2, axis=1))))
 
@@ -108,7 +108,7 @@ def _refuse_swapped_views(pose: tuple[Array, Array]) -> None:
 
 
 def outlying(per_image_px: Array) -> npt.NDArray[np.bool_]:
-    """Which pairs (pairs, 2) have an image whose error stands out from its view's others."""
+    """Outlier mask (pairs, 2): images whose error exceeds the others of their view."""
     stands_out = per_image_px > _OUTLIER_RATIO * np.median(per_image_px, axis=0)
     return np.asarray(stands_out.any(axis=1))
 
@@ -122,7 +122,7 @@ def held_out_errors(
     square_mm: float,
     refine_intrinsics: bool,
 ) -> HeldOut | None:
-    """Errors on pairs left out in turn (four folds), or ``None`` with fewer than eight pairs."""
+    """Errors of a four-fold cross-validation over pairs, or ``None`` with fewer than eight pairs."""
     count = len(left_px)
     if count < 2 * _FOLDS:
         return None
@@ -172,7 +172,7 @@ def coverage_hints(
     right: Mono,
     rms_px: float,
 ) -> list[str]:
-    """Say what the pairs leave unseen: parts of the images, tilts of the board, focal lengths."""
+    """Report missing coverage: parts of the images, tilts of the board, uncertain focal lengths."""
     hints = []
     if rms_px > _POOR_RMS_PX:
         hints.append(

@@ -74,7 +74,7 @@ def expand(patterns: list[str]) -> list[Path]:
             paths.append(Path(pattern))
             continue
         folder, name = Path(pattern).parent, Path(pattern).name
-        # What ends in no name, as "" and "/" do, matches nothing.
+        # A pattern without a file name, such as "" or "/", matches nothing.
         matches = sorted(folder.glob(name)) if name else []
         if not matches:
             raise CalibrationError(

@@ -1,4 +1,4 @@
-"""Corner search in a process of its own: OpenCV's search cannot be interrupted, a process can be ended.
+"""Corner search in a separate process: OpenCV's search cannot be interrupted, but a process can be terminated.
 
 Reads one JSON request per line from standard input and answers with one JSON line each; see `CornerFinder`.
 """
@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-#: Half the side of the sub-pixel window over the shortest distance of neighbouring corners. At a quarter the window
-#: of a tilted board begins to touch the next corner's edges, below a tenth it sees too little of its own.
+#: Half the side of the sub-pixel window, relative to the shortest distance of neighbouring corners. From a quarter on,
+#: the window of a tilted board reaches the next corner's edges. Below a tenth it contains too little of its own edges.
 WINDOW_SHARE = 0.2
 
 

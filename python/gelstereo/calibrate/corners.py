@@ -20,8 +20,8 @@ from .errors import CalibrationError, ImageError
 
 __all__ = ["CornerFinder", "Corners", "Method", "neighbouring_boards"]
 
-#: ``classic`` grows quadrilaterals, ``sectors`` (OpenCV's "SB") matches corner templates: slower, and on a board of
-#: another size it can report corners that are not there.
+#: ``classic`` grows quadrilaterals. ``sectors`` (OpenCV's "SB") matches corner templates; it is slower, and can report
+#: false corners on a board of another size.
 Method = Literal["classic", "sectors"]
 
 _START_LIMIT_S = 60.0
@@ -30,7 +30,7 @@ _LONGEST_LIMIT_S = 86400.0
 
 @dataclass(frozen=True)
 class Corners:
-    """What the search found in one image."""
+    """Result of the search in one image."""
 
     #: Width and height.
     size_px: tuple[int, int]
@@ -41,7 +41,7 @@ class Corners:
 
 
 class CornerFinder:
-    """Searches boards in a worker process, which is ended and replaced when a search takes too long.
+    """Searches for boards in a worker process, which is terminated and replaced when a search takes too long.
 
     Use it as a context manager.
     """
@@ -109,11 +109,11 @@ class CornerFinder:
 
 
 class _Worker:
-    """One process and the thread that reads its answers, so that waiting can end."""
+    """A worker process, and a thread that reads its answers so that waiting can time out."""
 
     def __init__(self) -> None:
         command = [sys.executable, "-m", "gelstereo.calibrate.corner_worker"]
-        # In a session of its own: Ctrl-C is for whoever asked, who then ends the worker without a word from it.
+        # In its own session: Ctrl-C reaches only the calling process, which then ends the worker without output.
         self._process = subprocess.Popen(
             command,
             stdin=subprocess.PIPE,
@@ -163,16 +163,16 @@ class _Worker:
         self._process.kill()
         self._process.wait()
         self._thread.join()
-        with suppress(BrokenPipeError):  # what was not sent yet is of no use now
+        with suppress(BrokenPipeError):  # unsent data is no longer needed
             self._stdin.close()
         if self._process.stdout is not None:
             self._process.stdout.close()
 
 
 def neighbouring_boards(board: tuple[int, int]) -> list[tuple[int, int]]:
-    """List sizes that people confuse with ``board``, the likeliest first.
+    """List board sizes that are easily confused with ``board``, the likeliest first.
 
-    Squares counted instead of corners and the reverse, then one or two rows or columns more or fewer.
+    First squares counted instead of corners and the reverse, then one or two rows or columns more or fewer.
     """
     cols, rows = board
     likely = [(-1, -1), (1, 1)]

@@ -1,6 +1,7 @@
-"""What a calibration of layers contradicts, and by how much more than its model allows.
+"""Plausibility tests of a calibration of layers.
 
-Every test here has a distribution under the model, so that its limit follows from how often it may be wrong.
+The distribution of every test statistic under the model is known, so each limit follows from the accepted rate of false
+alarms.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ __all__ = ["Doubt", "Kind", "doubts_of"]
 Array = npt.NDArray[np.float64]
 Kind = Literal["pitch", "prior", "misfit", "print"]
 
-#: How many calibrations that follow the model may be doubted: one in a thousand, by all tests together.
+#: Rate of false alarms under the model, over all tests together.
 RATE = 1e-3
 
 
@@ -32,9 +33,9 @@ class Doubt:
     Attributes
     ----------
     kind
-        ``"pitch"``: the pitch found is not the one stated. ``"prior"``: another value ended farther from its prior
-        than the prior allows. ``"misfit"``: residuals are larger than the noise, or those of neighbouring markers go
-        together, so that the model is wrong. ``"print"``: markers lie too far from their places in the lattice.
+        ``"pitch"``: the estimated pitch contradicts the stated one. ``"prior"``: another estimate contradicts its
+        prior. ``"misfit"``: residuals are larger than the noise, or correlated between neighbouring markers; the model
+        is then wrong. ``"print"``: markers lie too far from their nominal places in the lattice.
     message
         What was found, what is plausible, and what to check.
     """
@@ -47,9 +48,9 @@ class Doubt:
 
 
 def doubts_of(model: Model, solution: Solution, print_sigma_mm: float) -> tuple[Doubt, ...]:
-    """All doubts, in the order of their tests."""
+    """All doubts, in the order of the tests."""
     priors = model.priors()
-    # One for each prior, and the four of misfit and print.
+    # One test for each prior, and four for misfit and print.
     rate = RATE / (len(priors) + 4)
     found = _priors(model, solution, rate) + _misfit(model, solution, rate)
     place = _Places.of(model, solution, print_sigma_mm)
@@ -57,9 +58,9 @@ def doubts_of(model: Model, solution: Solution, print_sigma_mm: float) -> tuple[
 
 
 def _priors(model: Model, solution: Solution, rate: float) -> list[Doubt]:
-    """Values that the frames take farther from their priors than chance does.
+    """Estimates that contradict their priors.
 
-    The distance from the prior's mean has the variance by which the frames narrowed the prior.
+    The distance of an estimate from the prior's mean has the variance by which the frames reduced the prior's variance.
     """
     limit = NormalDist().inv_cdf(1.0 - 0.5 * rate)
     found = []
@@ -105,14 +106,14 @@ def chi2_quantile(degrees: int, probability: float) -> float:
 
 @dataclass(frozen=True)
 class _Places:
-    """Errors of the markers' places at rest, in standard deviations.
+    """Position errors of the markers at rest, in standard deviations.
 
     Attributes
     ----------
     places
         (M, 2) column and row.
     errors
-        (M, 2) normal numbers of variance 1, if the model holds.
+        (M, 2) standard normal, if the model holds.
     """
 
     places: Array
@@ -129,10 +130,10 @@ class _Places:
         )
 
     def together(self, rate: float) -> list[Doubt]:
-        """Whether neighbours are off alike.
+        """Whether errors of neighbours are correlated.
 
-        Products of independent normal numbers have mean 0 and variance 1, and are uncorrelated if no pair of numbers
-        is in two of them.
+        Products of independent standard normal numbers have mean 0 and variance 1. They are uncorrelated if no two
+        products share the same pair.
         """
         at = {(int(c), int(r)): i for i, (c, r) in enumerate(self.places)}
         pairs = [
@@ -157,7 +158,7 @@ class _Places:
         ]
 
     def alone(self, rate: float) -> list[Doubt]:
-        """Whether one marker stands out: the square of its error has two degrees of freedom."""
+        """Whether one marker is an outlier: its squared error has two degrees of freedom."""
         squares = (self.errors**2).sum(axis=1)
         limit, worst = 2.0 * float(np.log(len(squares) / rate)), int(squares.argmax())
         if squares[worst] <= limit:
@@ -173,7 +174,7 @@ class _Places:
         ]
 
     def size(self, rate: float) -> list[Doubt]:
-        """Whether errors are so large that one of these markers is likely to lie nearer to another's place."""
+        """Whether errors are so large that a marker may lie nearer to another marker's place than to its own."""
         limit = 0.5 * self.pitch_mm / (2.0 * float(np.log(len(self.errors) / rate))) ** 0.5
         if self.print_sigma_mm <= limit:
             return []

@@ -1,4 +1,4 @@
-"""What can be wrong with calibration images; every error says what was found and what to do."""
+"""Errors of calibration; each states what was found and what to do."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ __all__ = [
 
 
 class CalibrationError(Error):
-    """Calibration has no answer."""
+    """Calibration failed."""
 
 
 class UnpairedImagesError(CalibrationError):
@@ -47,10 +47,10 @@ class ImageError(CalibrationError):
 
 
 class BoardNotFoundError(CalibrationError):
-    """No image shows the board that was asked for.
+    """No image shows the requested board.
 
-    Attributes: ``board``, inner corners (columns, rows) looked for; ``found``, the size that was found instead in
-    the first images, or ``None``.
+    Attributes: ``board``, requested inner corners (columns, rows); ``found``, the size found instead in the first
+    images, or ``None``.
     """
 
     def __init__(self, message: str, board: tuple[int, int], found: tuple[int, int] | None) -> None:

@@ -1,19 +1,19 @@
-"""From frames of the sensor's own markers to the pose, distance and index of its gel.
+"""Calibration of the refractive layers: pose, distance and index of the gel, from frames of the sensor's own markers.
 
-The cameras are calibrated in air first. Then gel and plate are put on, and the sensor looks at its own lattice: at
-rest, where the pitch is known, and seated on flat boards of known protrusion, under which the markers lie in planes
-that are parallel to the rest plane. A bundle adjustment over all pixels gives the layers with their covariance, and
-says which combinations of them the frames do not tell.
+First calibrate the cameras in air. Then mount gel and plate, and take frames of the lattice: at rest, where the pitch
+is known, and pressed onto flat boards of known protrusion. Markers on a board lie in a plane parallel to the rest
+plane. A bundle adjustment over all pixels estimates the layers with their covariance, and reports which combinations
+the frames do not determine.
 
-What the frames tell follows from the information matrix (`LayersCalibration.combinations`). To first order in the
-slope of the light, a plate of thickness t and index n acts as t / n of air, and only the lattice's perspective at large
-slopes tells the two apart: thickness and index of a plate need priors, as a data sheet gives them. Rest frames alone
-leave the gel's index to the same second-order effect; one board fixes it, through the ratio of depth to pitch, and the
-highest board does so best, in proportion to its protrusion.
+The information matrix shows what the frames determine (`LayersCalibration.combinations`). To first order in the slope
+of the rays, a plate of thickness t and index n is equivalent to t / n of air. Only the lattice's perspective at large
+slopes separates the two, so thickness and index of a plate need priors, for example from a data sheet. The same holds
+for the gel's index with rest frames alone. One board determines it through the ratio of depth to pitch; accuracy grows
+in proportion to the protrusion.
 
-No print is perfect. Every marker has an error of place that all frames at rest share; how large these are is found with
-the layers (`gelstereo.calibrate.print_error`), and the pitch is found beside its tolerance. What contradicts the model
-all the same is in `LayersCalibration.doubts`.
+Prints are imperfect. Every marker has a position error that is the same in all rest frames. The standard deviation of
+these errors is estimated with the layers (`gelstereo.calibrate.print_error`), and so is the pitch, with its tolerance
+as the prior. Remaining contradictions to the model are listed in `LayersCalibration.doubts`.
 """
 
 from __future__ import annotations
@@ -36,36 +36,38 @@ __all__ = ["Combination", "Doubt", "LayersCalibration", "SeatedFrame", "calibrat
 
 Array = npt.NDArray[np.float64]
 
-#: Tolerance of the pitch, as a share of it. For a pitch that is off by 0.6 %, tolerances from 0.12 to 2.4 % change no
-#: parameter by a tenth of its standard deviation (25 x 25 markers, printed within 8 um): it decides what is doubted.
+#: Relative tolerance of the pitch. For a pitch that is off by 0.6 %, tolerances from 0.12 to 2.4 % change no parameter
+#: by more than a tenth of its standard deviation (25 x 25 markers, printed within 8 um). The tolerance only decides
+#: which pitch is reported as a doubt.
 PITCH_TOLERANCE = 0.005
 
 
 @dataclass(frozen=True)
 class LayersCalibration:
-    """The rig with its layers, how well they are known, and what speaks against them.
+    """The calibrated rig with its layers, their uncertainty, and doubts about them.
 
     Attributes
     ----------
     rig
-        With the layers found.
+        The rig with the estimated layers.
     values, covariance
-        Parameters by name, and their (N, N) covariance in that order. ``tilt_x`` and ``tilt_y`` are the slopes of the
-        normal, normal.x / normal.z and normal.y / normal.z.
+        Estimates by parameter name, and their (N, N) covariance in the same order. ``tilt_x`` and ``tilt_y`` are the
+        slopes of the normal, normal.x / normal.z and normal.y / normal.z.
     t_sensor_lattice
         (4, 4) pose of the rest lattice: x along the columns, y along the rows, z away from the cameras.
     pitch_mm, pitch_sigma_mm
-        Of the lattice, and its standard deviation.
+        Pitch of the lattice, and its standard deviation.
     print_sigma_mm
-        Standard deviation of the markers' places in the rest lattice, along each of its axes.
+        Standard deviation of the printed marker positions, along each lattice axis.
     rms_px
-        Residual per coordinate beside the print's errors; the centres' noise if all is well.
+        Residual per coordinate without the print's errors; equals the centres' noise if the model holds.
     chi2, degrees_of_freedom
-        Sum of squared residuals over the noise that was given and the print's errors, and what it should be, at most.
+        Sum of squared residuals, divided by the variance of the given noise and of the print's errors; and its upper
+        expected value.
     combinations
-        All independent combinations of the parameters, the least determined first.
+        All independent combinations of the parameters, the least certain first.
     doubts
-        What contradicts the model; empty if nothing does. One in a thousand calibrations that follow it has any.
+        Contradictions to the model; empty if there are none. The false-alarm rate is one in a thousand calibrations.
     """
 
     rig: Rig
@@ -111,22 +113,21 @@ def calibrate_layers(
     sigma_px: float = 0.03,
     height_sigma_mm: float = 0.002,
 ) -> LayersCalibration:
-    """Find the layers from frames at rest and on boards.
+    """Estimate the layers from frames at rest and on boards.
 
     Parameters
     ----------
     rig
         The cameras, calibrated in air.
     frames
-        At least one at rest; boards make the gel's index known.
+        At least one frame at rest. Frames on boards are needed to determine the gel's index.
     pitch_mm, pitch_sigma_mm
-        Of the printed lattice as stated, and its standard deviation; half a per cent of it if left out.
+        Stated pitch of the printed lattice, and its standard deviation. Default: half a per cent of the pitch.
     layers
-        As designed, in the form of `Rig.layers`: where the search starts, and the middle of every prior; those of the
-        rig if left out.
+        Design values in the form of `Rig.layers`: initial guess and mean of the priors. Default: the rig's layers.
     priors
-        Standard deviation of what is known of a parameter beforehand, by its name: ``tilt_x``, ``tilt_y``, ``gap_mm``,
-        ``gel_index``, ``plate_0_thickness_mm``, ``plate_0_index`` and so on. 0 holds it fixed.
+        Prior standard deviation of parameters by name: ``tilt_x``, ``tilt_y``, ``gap_mm``, ``gel_index``,
+        ``plate_0_thickness_mm``, ``plate_0_index`` and so on. 0 holds it fixed.
     sigma_px
         Noise of a centre along each axis.
     height_sigma_mm
@@ -135,9 +136,9 @@ def calibrate_layers(
     Raises
     ------
     UndeterminedLayersError
-        Frames and priors together do not determine a combination of the parameters, which is named.
+        Frames and priors together do not determine a combination of the parameters. The message names it.
     CalibrationError
-        The frames cannot be used, or nothing explains them.
+        The frames cannot be used, or no layers explain them.
     """
     layers = rig.layers if layers is None else layers
     if layers is None:
@@ -148,7 +149,7 @@ def calibrate_layers(
     _check(frames, known)
     model = Model(rig, frames, layers, known)
     start = model.start()
-    # Before the search, which without an answer wanders, and after it.
+    # Checked before the search, which would diverge for an undetermined problem, and after it.
     _refuse_undetermined(model.combinations(model.linearise(0.0)(*start)))
     solution, print_sigma_mm = model.solve(start)
     combinations = model.combinations(solution.linearised)
@@ -162,8 +163,8 @@ def _result(
     count = len(model.free)
     chi2 = solution.chi2 + model.scatter_chi2
     degrees = solution.degrees_of_freedom + model.scatter_degrees
-    # Where residuals exceed the stated noise, the covariance grows with chi2, but not that of the priors
-    # (Birge, "The calculation of errors", 1932).
+    # Where residuals exceed the stated noise, the covariance is scaled by chi2 per degree of freedom; that of the
+    # priors is not (Birge, "The calculation of errors", 1932).
     covariance = solution.linearised.covariance(max(chi2 / max(degrees, 1), 1.0) ** 0.5)
     residual = solution.linearised.marker_residual()
     squares = (residual @ residual + model.scatter_chi2) / (len(residual) + model.scatter_degrees)

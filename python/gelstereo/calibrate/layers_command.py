@@ -73,7 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def calibrate_images(arguments: argparse.Namespace) -> LayersCalibration:
-    """The calibration of the images that the arguments name."""
+    """Calibrate from the images named by the arguments."""
     rig, params = Rig.load(arguments.rig), params_of(arguments)
     if rig.layers is None:
         raise CalibrationError(f"{arguments.rig} has no [layers]; write down the layers as designed")
@@ -97,7 +97,7 @@ def calibrate_images(arguments: argparse.Namespace) -> LayersCalibration:
 
 
 def prior(text: str) -> tuple[str, float]:
-    """Name and standard deviation of ``gap_mm=0.5``."""
+    """Parse name and standard deviation, for example ``gap_mm=0.5``."""
     name, _, sigma = text.partition("=")
     try:
         return name, float(sigma)

@@ -19,30 +19,30 @@ __all__ = ["SCALES", "Combination", "Model", "SeatedFrame"]
 
 Array = npt.NDArray[np.float64]
 
-#: How well each kind of parameter must be known, at least: a combination of more than this, by its data sheet and the
-#: frames together, is undetermined. A wrong index by 0.01 costs 8 um per mm of height.
+#: Largest acceptable standard deviation of each kind of parameter. A combination with more than this, from priors and
+#: frames together, counts as undetermined. An index error of 0.01 costs 8 um per mm of height.
 SCALES = {"tilt": 0.01, "gap_mm": 0.3, "gel_index": 0.01, "thickness_mm": 0.3, "index": 0.05}
 
-#: Steps of the numerical derivatives: their error is its square, 1e-10, and round-off over it, 1e-8 px.
+#: Step of the numerical derivatives: the truncation error is its square, 1e-10; round-off divided by it is 1e-8 px.
 STEP = 1e-5
 
-#: Rounds of search and print error, at most. Two were enough for prints within 0 to 60 um, or with every twentieth
-#: marker named wrong, and for stated pitches of 0.6 to 1.7 mm where 0.85 is right.
+#: Maximum number of alternations between parameters and print error. Two sufficed for print errors from 0 to 60 um, for
+#: every twentieth marker mislabelled, and for stated pitches of 0.6 to 1.7 mm with a true 0.85 mm.
 ROUNDS = 8
 
 
 @dataclass(frozen=True)
 class SeatedFrame:
-    """Markers of one stereo frame whose height above the rest plane is known.
+    """Markers of one stereo frame with known height above the rest plane.
 
     Attributes
     ----------
     height_mm
         Protrusion of the board that the gel is seated on, towards the cameras; 0 for a frame at rest.
     rows, cols
-        (N,) place of every marker in the lattice.
+        (N,) row and column of every marker in the lattice.
     left_px, right_px
-        (N, 2) their centres.
+        (N, 2) centres of the markers.
     """
 
     height_mm: float
@@ -53,10 +53,10 @@ class SeatedFrame:
 
     @classmethod
     def from_frame(cls, frame: Frame, height_mm: float = 0.0, *, share: float = 0.9) -> SeatedFrame:
-        """Markers of a pipeline's frame: at rest all that are seen, on a board those that lie on it.
+        """Markers of a pipeline's frame: at rest all visible ones, on a board those that lie on it.
 
-        On the board are the markers that rise by ``share`` of its 90 % quantile, together with all their neighbours:
-        the gel bends beside an edge.
+        A marker counts as on the board if it and all its neighbours rise by at least ``share`` of the 90 % quantile,
+        because the gel bends beside an edge.
         """
         use = np.asarray(frame.state) == MarkerState.SEEN
         if height_mm > 0.0:
@@ -77,16 +77,17 @@ class SeatedFrame:
 
 @dataclass(frozen=True)
 class Combination:
-    """A direction in the layers' parameters and how well the frames alone determine it.
+    """A direction in the space of the layers' parameters, and its uncertainty.
 
     Attributes
     ----------
     weights
-        Share of every parameter, each in units of its scale (`SCALES`); a unit vector.
+        Component along each parameter, in units of its scale (`SCALES`); a unit vector.
     sigma
-        Standard deviation along it from the frames alone, in the same units: above 1 they do not determine it.
+        Standard deviation along the direction from the frames alone, in the same units. Above 1, the frames do not
+        determine it.
     total_sigma
-        That from frames and priors together.
+        Standard deviation from frames and priors together.
     """
 
     weights: Mapping[str, float]
@@ -100,16 +101,16 @@ class Combination:
 
 @dataclass(frozen=True)
 class Known:
-    """What is known before the frames are seen, as standard deviations.
+    """Prior knowledge, as standard deviations.
 
     Attributes
     ----------
     layers
-        By the name of a parameter; 0 holds it fixed.
+        By parameter name; 0 holds the parameter fixed.
     pitch_mm, pitch_sigma_mm
-        As stated for the print, and its tolerance.
+        Stated pitch of the print, and its tolerance.
     height_sigma_mm
-        Of a board's protrusion.
+        Tolerance of a board's protrusion.
     centre_sigma_px
         Noise of a centre along each axis.
     """
@@ -124,9 +125,9 @@ class Known:
 class Model:
     """Pixels as a function of the layers, the lattice's pose, the boards' heights, the pitch and the markers.
 
-    Shared parameters are the free ones of the layers, six of the pose, an offset for each board, and the pitch. A
-    marker at rest is where it was printed in all frames, which count as one with the mean of its centres. On a board it
-    is where friction took it, in every frame anew.
+    Shared parameters are the free parameters of the layers, six of the pose, an offset for each board, and the pitch. A
+    marker at rest has the same printed position in all frames; these are combined into one frame with its mean centres.
+    On a board, friction moves the markers, so they have separate positions in each frame.
     """
 
     def __init__(
@@ -153,9 +154,9 @@ class Model:
         self.root = np.sqrt(np.append(count, np.ones(len(self.board) - len(count))))
 
     def start(self) -> tuple[Array, Array]:
-        """Parameters to begin with: the design, the lattice fitted to the rest frames, the markers on their planes."""
+        """Initial guess: design values, the lattice fitted to the rest frames, the markers on their planes."""
         rig = self.rig_with(np.array([self.nominal[name] for name in self.free]))
-        # Through layers as designed, a marker's two rays need not meet.
+        # With the design values of the layers, the two rays of a marker need not intersect.
         rays = Params().replace({"triangulate.method": "rays", "triangulate.max_epipolar_px": 100.0})
         points = triangulate(rig, self.observed[:, :2], self.observed[:, 2:], rays)
         rest = ~self.on_board
@@ -167,11 +168,11 @@ class Model:
         return np.array(shared), local[self.on_board, :2]
 
     def solve(self, start: tuple[Array, Array]) -> tuple[Solution, float]:
-        """The likeliest parameters, and the standard deviation of the print's errors, mm.
+        """Maximum-likelihood parameters, and the standard deviation of the print's errors, mm.
 
-        The variance and the parameters under it are found in turn until the variance rests to a thousandth.
+        The variance and the parameters are estimated in turn until the variance changes by less than a thousandth.
         """
-        # A hundredth of the pitch, from where the first round finds its way.
+        # Initial guess, a hundredth of the pitch; the first round converges from there.
         variance, (shared, own) = (0.01 * self.known.pitch_mm) ** 2, start
         for _ in range(ROUNDS):
             solution = minimise(self.linearise(variance), (shared, own))
@@ -185,7 +186,7 @@ class Model:
         return solution, float(np.sqrt(before))
 
     def linearise(self, print_variance_mm2: float) -> Callable[[Array, Array], Linearised]:
-        """Residuals in units of their noise with derivatives, for errors of the print of this variance."""
+        """Residuals divided by their noise, with derivatives, for a print error of this variance."""
 
         def at(shared: Array, local: Array) -> Linearised:
             return self._linearised(shared, local, print_variance_mm2)
@@ -231,7 +232,7 @@ class Model:
         )
 
     def priors(self) -> list[tuple[int, float, float, str]]:
-        """What is known beforehand: place of the shared parameter, mean, standard deviation and name."""
+        """Priors: index of the shared parameter, mean, standard deviation and name."""
         count, known = len(self.free), self.known
         found = [(self.free.index(n), self.nominal[n], s, n) for n, s in known.layers.items() if s > 0.0]
         for k, height_mm in enumerate(self.boards):
@@ -242,7 +243,7 @@ class Model:
         return found
 
     def combinations(self, linearised: Linearised) -> tuple[Combination, ...]:
-        """Eigenvectors of the layers' information, all else left free, the least determined first."""
+        """Eigenvectors of the layers' marginal information matrix, the least determined first."""
         count = len(self.free)
         if count == 0:
             return ()
@@ -280,7 +281,9 @@ def _centres(frame: SeatedFrame) -> Array:
 
 
 def _means(rest: Sequence[SeatedFrame]) -> tuple[Array, Array, Array, Array]:
-    """Places of the markers at rest, their mean centres, in how many frames, and how centres scatter about them."""
+    """Rows and columns of the markers at rest, mean centres, number of frames, and scatter of the centres about the
+    mean.
+    """
     places = np.concatenate([_places(f) for f in rest])
     seen = np.concatenate([_centres(f) for f in rest])
     unique, index, count = np.unique(places, axis=0, return_inverse=True, return_counts=True)
@@ -327,7 +330,7 @@ def _information(sigma: float | None) -> float:
 
 
 def _marginal(information: Array, count: int) -> Array:
-    """Information of the first parameters with the others left free (Schur's complement)."""
+    """Marginal information of the first parameters (Schur complement)."""
     a, b, c = information[:count, :count], information[:count, count:], information[count:, count:]
     scale = 1.0 / np.sqrt(np.diag(c))
     return np.asarray(

@@ -1,4 +1,4 @@
-"""The board in every pair of images: found, named when not, and numbered alike in both views."""
+"""Finds the board in every pair of images, with the same corner numbering in both views."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .pairs import ImagePair
 __all__ = ["Observation", "Progress", "align", "observe"]
 
 Points = npt.NDArray[np.float64]
-#: Called with the steps done, the steps in all, and what is being done.
+#: Called with the steps done, the total steps, and a description of the step.
 Progress = Callable[[int, int, str], None]
 
 _HINT_IMAGES = 2
@@ -24,7 +24,7 @@ _HINT_IMAGES = 2
 
 @dataclass(frozen=True)
 class Observation:
-    """What one pair shows."""
+    """Corners found in one pair."""
 
     pair: ImagePair
     left: Corners
@@ -32,7 +32,7 @@ class Observation:
 
     @property
     def problem(self) -> str | None:
-        """Why the pair is of no use, or ``None``."""
+        """Reason why the pair cannot be used, or ``None``."""
         reasons = []
         for view, corners in (("left", self.left), ("right", self.right)):
             if corners.timed_out:
@@ -47,15 +47,15 @@ def observe(
 ) -> list[Observation]:
     """Find the board, inner corners (columns, rows), in every pair.
 
-    Images in which the classic search fails are tried again with the sector search, but not when the classic search
-    finds a board of another size: the sector search would then invent or leave out corners.
+    If the classic search fails, the sector search is tried. It is not tried if the classic search finds a board of
+    another size, because it would then invent or omit corners.
 
     Raises
     ------
     ImageError
         A file cannot be read, or the sizes within one camera differ.
     BoardNotFoundError
-        No image shows the board; it says which size was found instead, if any.
+        No image shows the board. The message states the size found instead, if any.
     """
     paths = [path for pair in pairs for path in (pair.left, pair.right)]
     found: dict[Path, Corners] = {}
@@ -95,10 +95,10 @@ def _check_sizes(images: Sequence[tuple[Path, Corners]]) -> None:
 def _refuse_other_board(
     missing: Sequence[Path], images: int, board: tuple[int, int], finder: CornerFinder
 ) -> None:
-    """Refuse when images without the board show one of a neighbouring size.
+    """Raise an error if images without the board show one of a similar size.
 
-    A smaller one in a few images is a board cut off by the border. A larger one, or one in most images, is what there
-    is: asked for less, the search would number different parts of it in different images.
+    A smaller board in a few images is one cut off by the border. A larger board, or any other size in most images, is
+    the real one. Searching it for a smaller board would number different parts in different images.
     """
     for path in missing[:_HINT_IMAGES]:
         sizes = [
@@ -139,9 +139,9 @@ def _not_found_message(
 def align(observation: Observation, board: tuple[int, int]) -> Observation:
     """Give the right view's corners the left view's numbering.
 
-    A chessboard looks the same after half a turn (a square one after a quarter), and the search may start at either
-    end. Of these numberings the one wins whose corners lie nearest to the left view's, both about their centroids;
-    it is right while the views are rolled against each other by less than 90 (45) degrees.
+    A chessboard is symmetric under half a turn (a square one under a quarter), and the search may start at either end.
+    The numbering is chosen whose corners are nearest to the left view's, both relative to their centroids. It is right
+    if the roll between the views is less than 90 (45) degrees.
     """
     left, right = observation.left.corners_px, observation.right.corners_px
     if left is None or right is None:

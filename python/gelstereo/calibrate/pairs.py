@@ -1,4 +1,4 @@
-"""Which left image belongs to which right image."""
+"""Pairing of left and right images."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""How far markers lie from the places where they were to be printed, by restricted maximum likelihood.
+"""Print errors of the markers, by restricted maximum likelihood.
 
-Every marker at rest is off by two numbers in the plane of the print, normal and independent, with one variance for
-all. The variance is that under which the residuals are likeliest, after what the shared parameters can explain was
-taken out of them (Patterson and Thompson, "Recovery of inter-block information when block sizes are unequal", 1971):
-plain maximum likelihood takes what these have explained for a smaller error.
+Every marker at rest is displaced from its nominal place by two independent normal errors in the plane of the print,
+with one variance for all. The variance maximises the likelihood of the residuals after projecting out the shared
+parameters (Patterson and Thompson, "Recovery of inter-block information when block sizes are unequal", 1971). Plain
+maximum likelihood would underestimate it, because the shared parameters absorb part of the errors.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ GOLDEN = 0.5 * (5.0**0.5 - 1.0)
 
 
 def print_variance(at: Linearised, lattice_mm: float) -> float:
-    """Likeliest variance of the own parameters that are not free, mm².
+    """Restricted maximum-likelihood variance of the own parameters that are not free, mm².
 
     Parameters
     ----------
     at
-        The problem around its solution.
+        The problem linearised at its solution.
     lattice_mm
-        A length that no error of a place exceeds.
+        Upper bound of the position errors.
     """
     likelihood = _restricted_likelihood(at)
-    # Below this, errors of the print add a millionth to the noise of the marker they are seen best on.
+    # Below this, print errors add at most a millionth to the noise, even of the marker that shows them best.
     least = 1e-6 / float((at.turned[0][~at.is_free] ** 2).max())
     low, high = np.log(least), 2.0 * np.log(lattice_mm)
     grid = np.linspace(low, high, 25)
@@ -48,7 +48,7 @@ def print_variance(at: Linearised, lattice_mm: float) -> float:
 
 
 def _highest(likelihood: Callable[[float], float], low: float, high: float) -> float:
-    """Where between two logarithms of the variance it is likeliest, by the golden section."""
+    """Maximum of the likelihood between two logarithms of the variance, by golden-section search."""
     inner, outer = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
     at_inner, at_outer = likelihood(float(np.exp(inner))), likelihood(float(np.exp(outer)))
     for _ in range(SECTIONS):
@@ -64,7 +64,7 @@ def _highest(likelihood: Callable[[float], float], low: float, high: float) -> f
 
 
 def _restricted_likelihood(at: Linearised) -> Callable[[float], float]:
-    """Logarithm of the restricted likelihood of a variance, but for a constant."""
+    """Log restricted likelihood of a variance, up to a constant."""
     values, residual, jacobian = at.turned
     seen = ~at.is_free
     squares = (values[seen] ** 2).ravel()
@@ -86,14 +86,14 @@ def _restricted_likelihood(at: Linearised) -> Callable[[float], float]:
 
 
 def place_errors(at: Linearised) -> tuple[Array, Array]:
-    """Where markers lie beside their places, by themselves, and the variance of that from the centres' noise.
+    """Individual position errors of the markers, and their variances from the centres' noise.
 
     Returns
     -------
     errors : (M, 2), mm
-        Of the markers whose own parameters are not free, in the order of the problem.
+        Errors of the markers whose own parameters are not free, in the order of the problem.
     variances : (M, 2), mm²
-        From noise alone; the print's own is not in it.
+        From noise alone, without the print's variance.
     """
     own, residual = at.own[~at.is_free], at.residual[~at.is_free]
     inverse = np.linalg.pinv(own)

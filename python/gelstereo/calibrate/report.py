@@ -1,4 +1,4 @@
-"""What calibration found, with its evidence."""
+"""Results of a calibration, with their evidence."""
 
 from __future__ import annotations
 
@@ -25,26 +25,25 @@ class PairReport:
 
     #: Both file names.
     name: str
-    #: Root mean square distance of the left and right view's corners from their projections in the joint
-    #: calibration, pixels; NaN-free: ``None`` when the pair was not used.
+    #: Rms distance of the left and right view's corners from their projections in the joint calibration, pixels.
+    #: ``None`` if the pair was not used.
     left_px: float | None
     right_px: float | None
-    #: Whether the pair's error stands out from the others'.
+    #: Whether the pair is an outlier.
     outlier: bool = False
-    #: Why the pair was not used, or ``None``.
+    #: Reason why the pair was not used, or ``None``.
     problem: str | None = None
 
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Errors on pairs that the calibration had not seen."""
+    """Cross-validation errors, on pairs not used for calibration."""
 
-    #: Root mean square distance of the right view's corners from where the board, located by the left view alone,
-    #: projects; pixels.
+    #: Rms distance of the right view's corners from the projection of the board located in the left view alone; pixels.
     transfer_px: float
-    #: Root mean square error of the triangulated distance of neighbouring corners against the square's side, mm.
+    #: Rms error of the triangulated distance of neighbouring corners, relative to the square's side, mm.
     square_mm: float
-    #: Mean error of the same: a wrong scale, mm.
+    #: Mean error of that distance, which indicates a scale error, mm.
     square_bias_mm: float
 
 
@@ -64,24 +63,24 @@ class Rectification:
 
 @dataclass(frozen=True)
 class StereoCalibration:
-    """A calibrated stereo pair and how far to trust it."""
+    """A calibrated stereo pair with its quality figures."""
 
     #: Width and height, pixels.
     size_px: tuple[int, int]
     #: Inner corners (columns, rows) and the side of a square.
     board: tuple[int, int]
     square_mm: float
-    #: Each camera on its own.
+    #: Separate calibration of each camera.
     left: Mono
     right: Mono
-    #: Both together: the calibration.
+    #: Joint calibration of both cameras: the result.
     stereo: Stereo
     rectification: Rectification
     #: Every pair given, used or not, in the order of their numbers.
     pairs: tuple[PairReport, ...]
     #: ``None`` with fewer than eight used pairs.
     held_out: HeldOut | None
-    #: What would make the calibration better: coverage, tilt, number of pairs.
+    #: Suggestions for a better calibration: coverage, tilt, number of pairs.
     hints: tuple[str, ...]
 
     @property
@@ -91,22 +90,22 @@ class StereoCalibration:
 
     @property
     def outliers(self) -> tuple[str, ...]:
-        """Names of the pairs whose errors stand out."""
+        """Names of the outlying pairs."""
         return tuple(pair.name for pair in self.pairs if pair.outlier)
 
     @property
     def used(self) -> int:
-        """Number of pairs that the calibration rests on."""
+        """Number of pairs used."""
         return sum(pair.left_px is not None for pair in self.pairs)
 
     @property
     def rig(self) -> Rig:
-        """The rig that the pipeline takes.
+        """The rig, as used by the pipeline.
 
         Raises
         ------
         RigError
-            What calibration found is no rig.
+            The calibrated values are not a valid rig.
         """
         from gelstereo import Rig
 

@@ -1,4 +1,4 @@
-"""Intrinsics and extrinsics from corners: OpenCV's solvers (Zhang 2000), with their evidence."""
+"""Intrinsics and extrinsics from corners: OpenCV's solvers (Zhang 2000), with residuals and uncertainties."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _CRITERIA = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 200, 1e-9)
 
 @dataclass(frozen=True)
 class Mono:
-    """One camera on its own."""
+    """Calibration of a single camera."""
 
     #: Camera matrix (3, 3), pixels.
     matrix: Array
@@ -30,13 +30,13 @@ class Mono:
     rms_px: float
     #: The same for every image, (images,), pixels.
     per_image_px: Array
-    #: Standard deviation of the focal length that the corners leave, pixels.
+    #: Standard deviation of the focal length, from the corners' residuals, pixels.
     focal_sigma_px: float
 
 
 @dataclass(frozen=True)
 class Stereo:
-    """Two cameras together."""
+    """Joint calibration of two cameras."""
 
     left_matrix: Array
     left_distortion: Array
@@ -97,8 +97,8 @@ def solve_stereo(
 ) -> Stereo:
     """Calibrate the pair from two calibrated cameras.
 
-    With ``refine_intrinsics`` all parameters of both cameras are fitted together: the maximum-likelihood estimate when
-    corner noise is equal in both views.
+    With ``refine_intrinsics``, all parameters of both cameras are fitted together. This is the maximum-likelihood
+    estimate if corner noise is equal in both views.
 
     Raises
     ------
