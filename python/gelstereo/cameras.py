@@ -43,7 +43,7 @@ def list() -> builtins.list[CameraInfo]:
     Returns
     -------
     list of CameraInfo
-        By their numbers. A USB camera has two: frames can be read from the one whose kind is ``"capture"``.
+        Ordered by number. A USB camera has two nodes; frames can be read from the one whose kind is ``"capture"``.
 
     Raises
     ------
@@ -79,7 +79,7 @@ def open(
 ) -> Camera:
     """Open a stereo camera and start its stream.
 
-    What is left out has the default of ``gelstereo-host``, which is named here.
+    Defaults are those of ``gelstereo-host``.
 
     Parameters
     ----------
@@ -88,27 +88,27 @@ def open(
     right_device
         The right camera, where each view has its own device.
     layout
-        Where both views stand in the frames of one stereo device. Default: ``"side_by_side"``.
+        Arrangement of both views in the frames of one stereo device. Default: ``"side_by_side"``.
     format
-        How the camera sends pixels. Default: ``"mjpg"``.
+        Pixel format of the camera. Default: ``"mjpg"``.
     size_px
-        Width and height of the device's frames, as its driver counts them: side by side, both views. Default:
-        (1280, 480).
+        Width and height of the device's frames as reported by its driver; side by side, this includes both views.
+        Default: (1280, 480).
     frame_rate_hz
         Default: 30.
     mode
-        ``"latest"`` gives the newest pair and counts those before it as dropped; ``"every"`` gives all in order.
+        ``"latest"`` returns the newest pair and counts older ones as dropped. ``"every"`` returns all in order.
         Default: ``"latest"``.
     max_skew_ms
-        Two devices' images farther apart in time are no pair. Default: 5.
+        Largest time difference between the images of two devices that form a pair. Default: 5.
     buffers, queue_frames
-        Frames that the driver can fill ahead, and frames that wait to be read. Default: 4 and 8.
+        Number of buffers that the driver fills ahead, and of frames queued for reading. Default: 4 and 8.
     stall_timeout_ms
-        A device that is silent for so long is started again. Default: 2000.
+        A device that sends nothing for this time is restarted. Default: 2000.
     min_retry_ms, max_retry_ms
-        Shortest and longest pause before a lost device is tried again. Default: 100 and 5000.
+        Shortest and longest pause before reopening a lost device. Default: 100 and 5000.
     keep_encoded
-        Whether frames keep the camera's JPEG files (``frame.encoded``). Default: True.
+        Whether frames include the camera's JPEG files (``frame.encoded``). Default: True.
     exposure_us
         Exposure time, a multiple of 100 µs; turns automatic exposure off.
     auto_exposure
@@ -122,7 +122,7 @@ def open(
     controls
         Any other control by its name: ``{"sharpness": 2}``.
     timeout_s
-        A frame is given at least this often: a stale one when nothing came, seconds.
+        Longest wait for a frame, seconds. If none arrives, a stale frame is returned.
 
     Returns
     -------
@@ -132,7 +132,7 @@ def open(
     Raises
     ------
     CameraError
-        If there is no such camera, or it does not give what is asked for; the text says what is there.
+        If there is no such camera, or it does not support the request. The message lists what is available.
     """
     wanted_controls = {
         "exposure_us": exposure_us,
@@ -170,7 +170,7 @@ def decode(
     layout: Layout = "side_by_side",
     stride: int | None = None,
 ) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint8]]:
-    """Decode a frame of a stereo device, as its driver gives it, to both views.
+    """Decode a frame of a stereo device, in its driver's format, to both views.
 
     Parameters
     ----------
@@ -179,7 +179,7 @@ def decode(
     format, size_px, layout
         As in `open`.
     stride
-        Bytes from row to row, where rows are padded. Not used for ``"mjpg"``.
+        Bytes from row to row, if rows are padded. Not used for ``"mjpg"``.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Libraries that only some parts of gelstereo need, and what brings them."""
+"""Optional libraries, and how to install them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from gelstereo._native import Error
 
 __all__ = ["MissingExtra", "needs", "said"]
 
-#: What `pip install` brings a library with; `./bench` is a folder of the project's repository.
+#: Argument of `pip install` for each library; `./bench` is a folder of the project's repository.
 REQUIREMENTS = {
     "cascadio": "gelstereo[step]",
     "mcap": "gelstereo[recording]",
@@ -33,17 +33,17 @@ REQUIREMENTS = {
 
 
 class MissingExtra(Error, ModuleNotFoundError):
-    """A library that not every part needs is not installed; the message says what to install."""
+    """An optional library is not installed. The message states what to install."""
 
 
 def _library(error: ImportError) -> str:
-    """The library that is missing; trimesh raises such errors again with their text alone."""
+    """Name of the missing library. trimesh raises such errors again with only their text."""
     named = re.search(r"No module named '([^']+)'", str(error))
     return (error.name or (named[1] if named else "")).partition(".")[0]
 
 
 def said(who: str, error: ImportError) -> str:
-    """One sentence: who needs which library, and how to get it."""
+    """One sentence: which function needs which library, and how to install it."""
     missing = _library(error) or "a package"
     requirement = REQUIREMENTS.get(missing)
     remedy = f": pip install '{requirement}'" if requirement else ""
@@ -52,17 +52,17 @@ def said(who: str, error: ImportError) -> str:
 
 @contextlib.contextmanager
 def needs(who: str) -> Iterator[None]:
-    """Imports of libraries that are not always installed.
+    """Context manager for imports of optional libraries.
 
     Parameters
     ----------
     who
-        What needs them, for the message.
+        The feature that needs them, for the message.
 
     Raises
     ------
     MissingExtra
-        One is not installed.
+        A library is not installed.
     """
     try:
         yield

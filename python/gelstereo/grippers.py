@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Gripper", "GripperError", "GripperStatus", "open"]
 
-#: Between two looks at a move; a Robotiq gripper reports a fault when it hears nothing for a second.
+#: Interval of status requests during a move. A Robotiq gripper reports a fault after a second without a request.
 _POLL_S = 0.02
 _DEFAULT_BAUD_RATES: Mapping[str, int] = {"dynamixel": 1_000_000, "feetech": 1_000_000}
 
@@ -37,14 +37,15 @@ class Gripper:
         return f"<Gripper on {getattr(self._port, 'name', None) or 'a port'}>"
 
     def activate(self) -> None:
-        """Make the gripper ready and wait until it is. Some sweep their fingers, unless they are ready.
+        """Activate the gripper and wait until it is ready. Some grippers sweep their fingers unless they are active
+        already.
 
-        Ctrl-C stops them.
+        Ctrl-C stops the fingers.
 
         Raises
         ------
         GripperError
-            If the gripper holds something that activation would drop, reports a fault, does not answer or is not ready
+            If the gripper holds an object that activation would drop, reports a fault, does not answer, or is not ready
             after 15 s.
         """
         self._driver.activate()
@@ -58,24 +59,24 @@ class Gripper:
     def move(
         self, width_mm: float, *, speed_mm_s: float = 50.0, force: float = 0.2, timeout_s: float = 30.0
     ) -> GripperStatus:
-        """Move to an opening and wait until the fingers stand; Ctrl-C stops them.
+        """Move to an opening width and wait until the fingers stop; Ctrl-C stops them.
 
         Parameters
         ----------
         width_mm
-            Opening between the pads.
+            Opening width between the pads.
         speed_mm_s
-            Speed of the opening.
+            Rate of change of the opening width.
         force
-            Share of the gripper's range of force, 0 to 1.
+            Fraction of the gripper's range of force, 0 to 1.
         timeout_s
-            The fingers are stopped after this time.
+            Time limit of the move, after which the fingers are stopped.
 
         Raises
         ------
         GripperError
-            If a value is out of the gripper's range, the gripper reports a fault or does not answer, or the move takes
-            longer than `timeout_s`.
+            If a value is outside the gripper's range, the gripper reports a fault or does not answer, or the move
+            exceeds `timeout_s`.
         """
         self._driver.move_to(width_mm, speed_mm_s, force)
         deadline_s = time.monotonic() + timeout_s
@@ -92,19 +93,19 @@ class Gripper:
         return status
 
     def start(self, width_mm: float, *, speed_mm_s: float = 50.0, force: float = 0.2) -> None:
-        """Start to move, without waiting; arguments and errors as for `move`."""
+        """Start a move without waiting; arguments and errors as for `move`."""
         self._driver.move_to(width_mm, speed_mm_s, force)
 
     def stop(self) -> None:
-        """Stop where the fingers are."""
+        """Stop the fingers in place."""
         self._driver.stop()
 
     def status(self) -> GripperStatus:
-        """Width and state now."""
+        """Present width and state."""
         return self._driver.status()
 
     def close(self) -> None:
-        """Close the port. The fingers stay as they are."""
+        """Close the port. The fingers stay in place."""
         self._port.close()
 
     def __enter__(self) -> Self:
@@ -127,7 +128,7 @@ def open(kind: str, port: str, **settings: Any) -> Gripper:
     kind
         ``"robotiq"``, ``"robotiq_urcap"``, ``"dh"``, ``"on_robot"``, ``"dynamixel"`` or ``"feetech"``.
     port
-        A serial port, or what pyserial's ``serial_for_url`` takes: ``socket://192.168.1.11:63352`` is a TCP connection.
+        A serial port, or a URL of pyserial's ``serial_for_url``: ``socket://192.168.1.11:63352`` is a TCP connection.
     settings
         The other settings of the configuration's table ``[gripper]``, such as ``model="2f85"``, ``unit=9``,
         ``baud_rate=115200`` or ``widths={"points": [(3, 85.0), (230, 0.0)], "max_error_mm": 0.5}``.
@@ -135,7 +136,7 @@ def open(kind: str, port: str, **settings: Any) -> Gripper:
     Raises
     ------
     GripperError
-        If a setting has no meaning, pyserial is missing or the port cannot be opened.
+        If a setting is not valid, pyserial is missing or the port cannot be opened.
     """
     try:
         import serial

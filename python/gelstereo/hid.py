@@ -1,7 +1,7 @@
 """HID devices of a sensor: the control interface of an e-con Tara camera, and blink(1) lights.
 
-Reports go by the library hidapi, on every system that it supports; their bytes are made and read by the same code as in
-``gelstereo-host``.
+Reports are transferred by the library hidapi, on every system that it supports. The same code as in ``gelstereo-host``
+encodes and decodes them.
 
     with gelstereo.hid.TaraControl.open() as camera:
         camera.set_exposure_us(8000)
@@ -27,16 +27,17 @@ if TYPE_CHECKING:
 __all__ = ["Blink1Light", "HidError", "HidInfo", "TaraControl", "devices"]
 
 _REPORT_BYTES = 64
-#: Reports that Linux keeps for a reader; a device that sends without end must not hold the caller.
+#: Number of reports that Linux buffers per reader. It bounds the reading, so that a device that sends without end
+#: cannot block the caller.
 _MAX_WAITING = 64
 
 
 @dataclass(frozen=True)
 class HidInfo:
-    """A HID device, as the system describes it. A USB device with several HID interfaces is several of these."""
+    """A HID device as listed by the system. A USB device with several HID interfaces has one entry for each."""
 
     path: str
-    """What the system calls it, such as ``/dev/hidraw0``."""
+    """Path of the device, such as ``/dev/hidraw0``."""
     vendor: int
     """USB vendor."""
     product: int
@@ -44,7 +45,7 @@ class HidInfo:
     serial: str
     """Serial number; empty if the device has none."""
     name: str
-    """Product by name."""
+    """Product name."""
     interface: int
     """Number of the USB interface; -1 on other buses."""
 
@@ -75,7 +76,7 @@ def devices() -> list[HidInfo]:
 
 
 class _Device:
-    """An open device: what both kinds have in common."""
+    """An open device; base class of both kinds."""
 
     VENDOR: ClassVar[int]
     PRODUCT: ClassVar[int]
@@ -86,7 +87,7 @@ class _Device:
         Raises
         ------
         HidError
-            If the system refuses; the message gives the udev rule that would allow it.
+            If the system denies access. The message gives the udev rule that would allow it.
         """
         self.info = info
         self._device = _opened(info)
@@ -101,12 +102,12 @@ class _Device:
 
     @classmethod
     def open(cls, serial: str | None = None) -> Self:
-        """Open the one device of this kind, or the one with this serial number.
+        """Open the only connected device of this kind, or the one with this serial number.
 
         Raises
         ------
         HidError
-            If there is none, or several, or if the system refuses.
+            If there is none or more than one, or if the system denies access.
         """
         found = cls._fitting(serial)
         wanted = f"{cls.VENDOR:04x}:{cls.PRODUCT:04x}" + (f" with serial number {serial}" if serial else "")
@@ -136,14 +137,14 @@ class _Device:
 
 
 class TaraControl(_Device):
-    """Settings of an e-con Tara camera that video interfaces do not reach."""
+    """Settings of an e-con Tara camera that are not available through its video interface."""
 
     VENDOR = TaraRequest.VENDOR
     PRODUCT = TaraRequest.PRODUCT
 
     @classmethod
     def _fitting(cls, serial: str | None) -> list[HidInfo]:
-        """The control interfaces; the camera's other HID interface is its IMU's."""
+        """The control interfaces; the camera's other HID interface belongs to its IMU."""
         found = super()._fitting(serial)
         return [info for info in found if _descriptor_bytes(info) == TaraRequest.CONTROL_DESCRIPTOR_BYTES]
 
@@ -152,7 +153,7 @@ class TaraControl(_Device):
         return str(self._ask(TaraRequest.firmware()))
 
     def unique_id(self) -> int:
-        """The number that is unique to this camera."""
+        """Unique number of this camera."""
         return int(self._ask(TaraRequest.unique_id()))
 
     def exposure_us(self) -> int:
@@ -160,7 +161,7 @@ class TaraControl(_Device):
         return int(self._ask(TaraRequest.exposure()))
 
     def set_exposure_us(self, exposure_us: int) -> int:
-        """Set the exposure time and return the one that the camera took.
+        """Set the exposure time and return the one that the camera accepted.
 
         Parameters
         ----------
@@ -170,11 +171,11 @@ class TaraControl(_Device):
         return int(self._ask(TaraRequest.set_exposure(exposure_us)))
 
     def stream_mode(self) -> str:
-        """What starts a frame: "master" (the camera's clock) or "trigger"."""
+        """Source of the frame trigger: "master" (the camera's clock) or "trigger"."""
         return str(self._ask(TaraRequest.stream_mode()))
 
     def set_stream_mode(self, mode: Literal["master", "trigger"]) -> str:
-        """Set what starts a frame and return what the camera took."""
+        """Set the source of the frame trigger and return the one that the camera accepted."""
         return str(self._ask(TaraRequest.set_stream_mode(mode)))
 
     def hdr(self) -> bool:
@@ -182,11 +183,11 @@ class TaraControl(_Device):
         return bool(self._ask(TaraRequest.hdr()))
 
     def set_hdr(self, on: bool) -> bool:
-        """Switch high dynamic range and return what the camera took."""
+        """Switch high dynamic range on or off and return the state that the camera accepted."""
         return bool(self._ask(TaraRequest.set_hdr(on)))
 
     def calibration(self, file: Literal["intrinsic", "extrinsic"]) -> bytes:
-        """Read a calibration file that the maker put into the camera."""
+        """Read a calibration file that the manufacturer stored in the camera."""
         assembly = TaraAssembly(self._ask(TaraRequest.calibration_length(file)))
         request = TaraRequest.calibration_data(file)
         self._send(request)
@@ -199,7 +200,7 @@ class TaraControl(_Device):
         return self._answer(request)
 
     def _send(self, request: TaraRequest) -> None:
-        # A late answer to an earlier command would be taken for this one's.
+        # A late answer to an earlier command would be mistaken for this one's.
         for _ in range(_MAX_WAITING):
             if not self._read(0):
                 break
@@ -235,7 +236,7 @@ class Blink1Light(_Device):
         return Blink1Command.decode_version(self._fetch(Blink1Command.version()))
 
     def color(self, led: int = 0) -> tuple[int, int, int]:
-        """The colour of a light: ``led`` 1 or 2, or 0 for the one that the device reports for both."""
+        """The colour of a light: ``led`` is 1 or 2, or 0 for the colour that the device reports for both."""
         return Blink1Command.decode_color(self._fetch(Blink1Command.read(led)))
 
     def set(self, color: Sequence[int], led: int = 0) -> None:
@@ -263,7 +264,7 @@ class Blink1Light(_Device):
 
 
 def _hidapi() -> ModuleType:
-    """The library hidapi; on Linux by hidraw, so that the kernel's drivers stay bound to the device."""
+    """The library hidapi. On Linux it uses hidraw, so the kernel's drivers stay bound to the device."""
     missing = None
     for name in ("hidraw", "hid"):
         try:
@@ -287,7 +288,7 @@ def _opened(info: HidInfo) -> Any:
 
 
 def _descriptor_bytes(info: HidInfo) -> int:
-    """Length of the report descriptor, which tells the HID interfaces of one device apart."""
+    """Length of the report descriptor, which distinguishes the HID interfaces of one device."""
     device = _opened(info)
     try:
         return len(device.get_report_descriptor())

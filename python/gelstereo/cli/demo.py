@@ -33,8 +33,8 @@ EXAMPLES = """examples:
 
 Floats = npt.NDArray[np.float64]
 
-#: A peg of 8 mm diameter, pressed 2 mm deep and then dragged along by its weight. It is longer than the lattice is
-#: wide: neither end presses, so that the slide along its axis is free.
+#: A peg of 8 mm diameter, pressed 2 mm deep and then dragged by its weight. It is longer than the lattice is wide, so
+#: neither end touches the gel, and translation along its axis is undetermined.
 _SIDEWAYS = [0.0, 1.5707963267948966, 0.0]
 SCENE: dict[str, Any] = {
     "indenter": {"kind": "cylinder", "radius_mm": 4.0, "length_mm": 40.0},
@@ -49,7 +49,7 @@ SCENE: dict[str, Any] = {
     ],
 }
 
-#: How far the guess is from the truth: degrees about x, y, z and millimetres along them.
+#: Error of the initial guess: degrees about x, y, z and millimetres along them.
 _GUESS_DEG, _GUESS_MM = (1.5, 2.0, -2.0), (0.5, -0.5, 0.3)
 
 
@@ -62,7 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Press, locate, draw; the exit code."""
+    """Press, locate, draw; return the exit code."""
     from gelstereo.view import Moment, draw
     from gelstereo.view.moment import Part, pose_in_words
 
@@ -93,7 +93,9 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def press(params: Params) -> tuple[Frame, Frame, SimulatedFrame, float]:
-    """Close on the part until the grasp trigger: rest frame, last frame with its truth, milliseconds a frame."""
+    """Close on the part until the grasp trigger; return the rest frame, the last frame with its truth, and milliseconds
+    per frame.
+    """
     simulator = simulate(SCENE)
     pipeline = Pipeline(simulator.scene.rig, params)
     trigger_px = params.to_dict()["contact"]["grasp_trigger_px"]
@@ -113,7 +115,7 @@ def press(params: Params) -> tuple[Frame, Frame, SimulatedFrame, float]:
 def locate(
     frame: Frame, moment: SimulatedFrame, template: Template, params: Params
 ) -> tuple[Localization, float]:
-    """Localize from a guess beside the truth; milliseconds."""
+    """Localize from a perturbed guess; also return the time in milliseconds."""
     assert moment.t_sensor_object is not None  # the scene has an indenter
     guess = moment.t_sensor_object @ se3_exp([*np.radians(_GUESS_DEG), *_GUESS_MM])
     start = time.perf_counter()
@@ -122,12 +124,13 @@ def locate(
 
 
 def error_of(found: Localization, truth: Floats | None) -> tuple[float, float]:
-    """Angle (degrees) and distance at the patch (mm) from the truth, without what the contact leaves free."""
+    """Angle (degrees) and distance at the patch (mm) from the truth, over the directions that the contact determines.
+    """
     assert truth is not None
     centre = found.free[0].centre_mm if found.free else np.zeros(3)
     here, back = np.eye(4), np.eye(4)
     here[:3, 3], back[:3, 3] = centre, -centre
-    # In the object's frame about the patch, where the free directions are told.
+    # In the object's frame about the patch, as the free directions are.
     twist = np.array(se3_log(back @ np.linalg.inv(found.t_sensor_object) @ truth @ here))
     if found.free:
         free = np.stack([np.concatenate([direction.omega, direction.v]) for direction in found.free])

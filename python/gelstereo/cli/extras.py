@@ -1,4 +1,4 @@
-"""Modules of commands that need what is not always installed."""
+"""Import of command modules that need optional libraries."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def module_of(command: str, name: str) -> ModuleType:
     Raises
     ------
     Error
-        A library is not installed; the message says which, and how to get it.
+        A library is not installed. The message names it and how to install it.
     """
     try:
         return importlib.import_module(name)

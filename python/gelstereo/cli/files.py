@@ -1,4 +1,4 @@
-"""Images and point clouds of the commands, with errors that name the file."""
+"""Reading and writing images and point clouds; errors name the file."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ _IMAGES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm"}
 
 
 class FileError(Error):
-    """A file is not what the command needs."""
+    """A file cannot be used by the command."""
 
 
 def write_image(path: Path, image: npt.NDArray[np.uint8]) -> None:
-    """Write an image; folders are made."""
+    """Write an image; create missing folders."""
     import cv2
 
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -43,7 +43,8 @@ def read_image(path: Path) -> npt.NDArray[np.uint8]:
 
 
 def stereo_pairs(folder: Path) -> list[tuple[Path, Path]]:
-    """Images of the same name in ``left`` and ``right`` of a folder, in natural order: ``3.png`` before ``29.png``."""
+    """Images with the same name in ``left`` and ``right`` of a folder, in natural order: ``3.png`` before ``29.png``.
+    """
     if not folder.is_dir():
         raise FileNotFoundError(2, "No such folder", str(folder))
     views = [{path.name: path for path in _images(folder / view)} for view in ("left", "right")]
@@ -58,16 +59,16 @@ def stereo_pairs(folder: Path) -> list[tuple[Path, Path]]:
 
 
 def natural_key(name: str) -> tuple[list[tuple[int, int, str]], str]:
-    """Sorting key by which numbers in names compare as numbers, as `gelstereo-host` sorts a folder's images.
+    """Sorting key that compares numbers in names by value, as `gelstereo-host` sorts a folder's images.
 
-    Names that differ in leading zeros alone are in the order of their text.
+    Names that differ only in leading zeros are ordered as text.
     """
     pieces = [piece for piece in re.split(r"([0-9]+)", name) if piece]
     return [_piece_key(piece) for piece in pieces], name
 
 
 def _piece_key(piece: str) -> tuple[int, int, str]:
-    # Digits stand where their text would: after what is below "0", before what is above "9".
+    # Digits sort where their text would: after characters below "0", before characters above "9".
     if piece[0] in "0123456789":
         digits = piece.lstrip("0")
         return ord("0"), len(digits), digits

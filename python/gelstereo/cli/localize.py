@@ -52,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Localize and print the pose; the exit code."""
+    """Localize and print the pose; return the exit code."""
     params = params_of(arguments)
     template = _template(arguments)
     guess = guess_of(arguments)
@@ -86,7 +86,7 @@ def _template(arguments: argparse.Namespace) -> Template:
 
 
 def as_json(found: Localization) -> dict[str, Any]:
-    """All of a localization, for JSON."""
+    """All results of a localization, for JSON."""
     return {
         "t_sensor_object": found.t_sensor_object.tolist(),
         "information": found.information.tolist(),

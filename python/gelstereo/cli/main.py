@@ -1,4 +1,4 @@
-"""Parsing, and what happens to errors: one helpful line and exit code 2, or 130 after Ctrl-C."""
+"""Argument parsing and error handling: an error prints one line and returns exit code 2, Ctrl-C returns 130."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ COMMANDS = {
         "a recording or a folder of stereo images to a picture, or a recording step by step",
     ),
     "export": ("gelstereo.export.command", "recordings to a dataset of another program"),
-    # The project's laboratory, which only a clone has.
+    # The benchmarks, available only in a clone of the repository.
     "experiment": (
         "gelstereo_bench.experiments.command",
         "the paper's experiments, simulated, with a report each",
@@ -55,13 +55,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Parameters
     ----------
     arguments
-        As on the command line, without the program's name; those of the process if left out.
+        Command-line arguments without the program's name. Default: those of the process.
 
     Returns
     -------
     int
-        Exit code: 0 when all went well, 1 when a part does not explain the contact or frames contradict the layers
-        found, 2 when something handed over cannot be used, 130 after Ctrl-C.
+        Exit code: 0 on success; 1 if a part does not explain the contact, or frames contradict the estimated layers; 2
+        if an input cannot be used; 130 after Ctrl-C.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     try:
@@ -72,7 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("\nstopped", file=sys.stderr)
         return 130
     except BrokenPipeError:
-        # Whoever read the output has seen enough; Python would complain again at exit.
+        # The reader of the output has closed the pipe; without this, Python would report it again at exit.
         sys.stderr.close()
         return 0
     except (Error, OSError) as error:
@@ -81,14 +81,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _in_words(error: Error | OSError) -> str:
-    """The message, without the number that an operating system gives its errors."""
+    """The message without the operating system's error number."""
     if isinstance(error, OSError) and error.strerror and error.filename is not None:
         return f"{error.filename}: {error.strerror}"
     return str(error)
 
 
 def _parser(words: Sequence[str]) -> tuple[argparse.ArgumentParser, dict[str, ModuleType]]:
-    """The parser, with the arguments of the one command that is asked for: the others are not imported."""
+    """The parser, with the arguments of the requested command only: other commands are not imported."""
     parser = argparse.ArgumentParser(
         prog="gelstereo",
         description="Visuotactile sensing with stereo markers: from a stereo frame to a pose.",

@@ -13,7 +13,7 @@ from gelstereo.geometry import se3_exp
 
 
 def add_params(parser: argparse.ArgumentParser) -> None:
-    """Add where the settings come from."""
+    """Add the options that select the settings."""
     group = parser.add_mutually_exclusive_group()
     group.add_argument(
         "--preset", default="balanced", help=f"settings: {' or '.join(Params.presets())} (%(default)s)"
@@ -22,7 +22,7 @@ def add_params(parser: argparse.ArgumentParser) -> None:
 
 
 def params_of(arguments: argparse.Namespace) -> Params:
-    """The settings that were asked for."""
+    """The selected settings."""
     return Params.load(arguments.params) if arguments.params else Params.preset(arguments.preset)
 
 
@@ -55,7 +55,7 @@ def guess_of(arguments: argparse.Namespace) -> npt.NDArray[np.float64]:
 
 
 def count(text: str) -> int:
-    """A whole number from 1 on."""
+    """Parse an integer of at least 1."""
     if not text.isdecimal() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"{text!r} is no count; valid is a whole number from 1 on")
     return int(text)

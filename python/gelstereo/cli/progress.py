@@ -1,4 +1,4 @@
-"""A progress bar of a few lines, on standard error and only for people."""
+"""A small progress bar on standard error, drawn only on a terminal."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ T_co = TypeVar("T_co", covariant=True)
 
 
 class Items(Protocol[T_co]):
-    """What has a length and can be counted through: a list, a range, a simulator."""
+    """An iterable with a length: a list, a range, a simulator."""
 
     def __len__(self) -> int: ...
 
@@ -22,7 +22,7 @@ _WIDTH = 32
 
 
 def progress(items: Items[T_co], what: str) -> Iterator[T_co]:
-    """Iterate over `items` behind a bar; nothing is drawn when standard error is no terminal."""
+    """Iterate over `items` with a progress bar; nothing is drawn if standard error is no terminal."""
     shown = sys.stderr.isatty()
     total = len(items)
     try:
@@ -38,7 +38,7 @@ def progress(items: Items[T_co], what: str) -> Iterator[T_co]:
 
 
 class Counter:
-    """How many of how many, told from outside: a bar for people, else a line at every tenth."""
+    """Progress updated by the caller: a bar on a terminal, otherwise a line at every tenth."""
 
     def __init__(self, what: str) -> None:
         self._what = what
@@ -47,7 +47,7 @@ class Counter:
         self.done = self.total = 0
 
     def __call__(self, done: int, total: int) -> None:
-        """Tell that so many are done."""
+        """Update the number of finished items."""
         self.done, self.total = done, total
         if self._shown:
             _draw(done, max(total, 1), self._what)

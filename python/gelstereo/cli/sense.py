@@ -15,7 +15,7 @@ from gelstereo.cli.progress import progress
 
 @dataclass(frozen=True)
 class Sensed:
-    """The frame that was asked for, with its left image, its name and the markers at rest."""
+    """The requested frame, with its left image, its name and the markers at rest."""
 
     name: str
     left: npt.NDArray[np.uint8]
@@ -26,8 +26,8 @@ class Sensed:
 def sense_folder(folder: Path, rig_file: Path | None, params: Params, frame: int = -1) -> Sensed:
     """Run the pipeline over ``left/*`` and ``right/*`` of a folder, up to a frame.
 
-    The first pair is the rest frame. The rig is the folder's ``rig.toml`` unless another file is named. `frame` counts
-    as a Python index does.
+    The first pair is the rest frame. The rig is the folder's ``rig.toml`` unless another file is given. `frame` is a
+    Python index and may be negative.
     """
     pairs = stereo_pairs(folder)
     if not -len(pairs) <= frame < len(pairs):

@@ -41,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Simulate the scene; the exit code."""
+    """Simulate the scene; return the exit code."""
     simulator = simulate(arguments.scene)
     wanted = _wanted(arguments.frames, len(simulator))
     print(simulator.plan, end="")
@@ -68,7 +68,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _wanted(frames: Sequence[int] | None, count: int) -> Sequence[int]:
-    """The frames to render; each must be one of the scene's."""
+    """Indices of the frames to render; each must exist in the scene."""
     for index in frames or ():
         if not 0 <= index < count:
             raise Error(f"there is no frame {index}; the scene has {count}, counted from 0")

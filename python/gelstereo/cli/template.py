@@ -19,7 +19,7 @@ EXAMPLES = """examples:
 Faces that are inside out are turned; holes and symmetries are told of. STEP files say their unit themselves.
 """
 
-#: Axes that are written out; a cube has thirteen.
+#: Number of axes printed in full; a cube has thirteen.
 _MOST_AXES = 4
 
 
@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Check the mesh, print what it is, and write what was asked for; the exit code."""
+    """Check the mesh, print its properties, and write the requested files; return the exit code."""
     from gelstereo.view.part import draw_scan, draw_template
 
     name = arguments.mesh.name
@@ -47,7 +47,7 @@ def run(arguments: argparse.Namespace) -> int:
     if spacing_mm is None:
         template = Template.from_triangles(vertices_mm, faces, spacing_mm=arguments.spacing_mm)
         template = template.with_symmetries(tolerance_mm=arguments.tolerance_mm)
-        assert template.surface is not None  # as it was made of triangles
+        assert template.surface is not None  # it was created from triangles
         notes = [
             f"{size} mm, {len(faces)} triangles, {len(template)} points {template.spacing_mm:g} mm apart",
             _surface_in_words(template.surface),

@@ -55,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Draw what was asked for; the exit code."""
+    """Draw the requested picture; return the exit code."""
     if arguments.output is not None:
         _draw_picture(arguments)
     elif arguments.source.is_dir():
@@ -98,7 +98,7 @@ def _show_steps(arguments: argparse.Namespace) -> None:
         _open_window(steps)
     else:
         rerun = module_of("gelstereo view --rerun", "gelstereo.view.step_rerun")
-        # An empty path stands for no file's name.
+        # An empty path is no file name.
         file = arguments.rerun if arguments.rerun.name else None
         logged = rerun.log_steps(steps, file)
         print(f"wrote {file}: {logged} steps" if file else f"{logged} steps are in Rerun's viewer")

@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Export the recordings; the exit code."""
+    """Export the recordings; return the exit code."""
     kind, folder = arguments.to
     if kind not in FORMATS:
         raise Error(f"there is no format {kind!r}; valid is {' or '.join(FORMATS)}")

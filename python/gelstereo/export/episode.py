@@ -32,24 +32,24 @@ with needs(__name__):
     import pyarrow.parquet as pq
 
 _ROWS_AT_ONCE = 64
-#: Statistics of images come from so many frames and from every fourth pixel each way, much as LeRobot's own do.
+#: Largest number of frames for image statistics; every fourth pixel along each axis is used, similar to LeRobot.
 _SAMPLED_IMAGES, _SAMPLED_PIXELS = 100, 4
 
 
 @dataclass(frozen=True)
 class Episode:
-    """A recording as it stands in a dataset.
+    """A recording as an episode of a dataset.
 
     Attributes
     ----------
     recording : Path
     number, start : int
-        Which episode it is, and the index of its first frame in the dataset.
+        Number of the episode, and index of its first frame in the dataset.
     timeline : Timeline
-        Which recorded frame stands at each step.
+        The recorded frame of each step.
     features : dict
     statistics : dict
-        Of each feature.
+        Statistics of each feature.
     """
 
     recording: Path
@@ -71,13 +71,13 @@ class EpisodeWriter:
     Parameters
     ----------
     recording, timeline
-        What is written.
+        The recording and its steps.
     number, start
         As in `Episode`.
     features
-        Those of the dataset, or None in its first episode.
+        Features of the dataset, or None in its first episode.
     views
-        Images to take along.
+        Views whose images are exported.
     """
 
     def __init__(
@@ -101,7 +101,7 @@ class EpisodeWriter:
         )
 
     def write(self, path: Path, progress: Callable[[int], None]) -> Episode:
-        """Write the file; `progress` is called with the steps done."""
+        """Write the file; `progress` is called with the number of steps done."""
         frames = self._frames()
         repeats, first = next(frames)
         features = self._features or features_of(self._recording, first, self._views)
@@ -129,7 +129,7 @@ class EpisodeWriter:
         )
 
     def _frames(self) -> Iterator[tuple[int, RecordedFrame]]:
-        """Frames that stand at some step, with the number of steps."""
+        """Frames used by at least one step, with the number of steps."""
         repeats = Counter(self._timeline.taken)
         for index, frame in enumerate(recorded_frames(self._recording)):
             if repeats[index]:
@@ -145,7 +145,7 @@ class EpisodeWriter:
         }
 
     def _keep(self, values: Values, step: int) -> None:
-        """Keep what the statistics need: displacements in full, and some pixels of some images."""
+        """Keep the data for statistics: all displacements, and a sample of the images' pixels."""
         for name, value in values.items():
             if name.startswith(IMAGES):
                 if step not in self._sampled:

@@ -18,14 +18,14 @@ DISPLACEMENT = "observation.tactile.displacement"
 MARKER_STATE = "observation.tactile.marker_state"
 IMAGES = "observation.images."
 
-#: Of levels 1 to 9; three equal colours of 640 x 480 simulated pixels take 259 kB. Level 1: 301 kB in two thirds of
-#: the time; level 9: 237 kB in ten times that.
+#: PNG compression, 1 to 9. A simulated 640 x 480 image as three equal colours takes 259 kB. Level 1 takes 301 kB in two
+#: thirds of the time; level 9 takes 237 kB in ten times the time.
 _PNG_LEVEL = 3
 
 Features = dict[str, dict[str, Any]]
 Values = dict[str, npt.NDArray[Any]]
 
-#: What LeRobot adds to every dataset.
+#: Features that LeRobot adds to every dataset.
 COUNTED: Features = {
     "timestamp": {"dtype": "float32", "shape": [1], "names": None},
     "frame_index": {"dtype": "int64", "shape": [1], "names": None},
@@ -36,7 +36,7 @@ COUNTED: Features = {
 
 
 def features_of(path: Path, frame: RecordedFrame, views: tuple[str, ...]) -> Features:
-    """The features of a dataset whose frames are like this one."""
+    """The features of a dataset with frames of this format."""
     lattice = {"rows": frame.rows, "cols": frame.cols, "order": "row * cols + col"}
     out: Features = {
         DISPLACEMENT: {
@@ -60,7 +60,7 @@ def features_of(path: Path, frame: RecordedFrame, views: tuple[str, ...]) -> Fea
 
 
 def schema_of(features: Features) -> pa.Schema:
-    """Columns of a data file, as the `datasets` library stores such features."""
+    """Columns of a data file, in the layout of the `datasets` library."""
     return pa.schema([(name, _column(feature)) for name, feature in features.items()])
 
 
@@ -97,7 +97,7 @@ def values_of(
 
 
 def row_of(values: Values) -> dict[str, Any]:
-    """Values as a row of a data file: images become PNG files of three equal colours, as policies expect them."""
+    """Values as a row of a data file. Images become PNG files of three equal colours, the input format of policies."""
     import cv2
 
     row: dict[str, Any] = {}

@@ -15,7 +15,7 @@ Image = npt.NDArray[np.uint8]
 def decoded(data: bytes | memoryview | npt.NDArray[np.uint8]) -> Image:
     """A grey image, (H, W), of a PNG or JPEG file.
 
-    Pixels of a JPEG file are OpenCV's, which are a level off here and there from what was sensed.
+    JPEG files are decoded by OpenCV, whose pixels may differ by one level from those that were sensed.
 
     Raises
     ------
@@ -32,7 +32,7 @@ def decoded(data: bytes | memoryview | npt.NDArray[np.uint8]) -> Image:
 
 
 def views_of(image: Image, layout: str) -> tuple[Image, Image]:
-    """Left and right view of an image of both, in a layout of `gelstereo.cameras`.
+    """Split an image of both views, in a layout of `gelstereo.cameras`, into left and right.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Recordings as a LeRobotDataset, format v3.0: what LeRobot 0.4 and later open from a folder.
+"""Recordings as a LeRobotDataset, format v3.0, which LeRobot 0.4 and later open from a folder.
 
 Each recording is an episode. The format is written with pyarrow alone, so that neither LeRobot nor torch is needed;
 LeRobot's own loader opens the result in the tests.
@@ -44,15 +44,15 @@ def export_lerobot(
     recordings
         MCAP files of `gelstereo-host` or `gelstereo live`; one episode each.
     folder
-        The dataset; there must be nothing yet.
+        Folder of the dataset; it must not exist.
     task
-        What was done, in words.
+        Description of the task in words.
     fps
-        Frames a second; that of the first recording if left out. Steps without a frame repeat the nearest one.
+        Frames per second. Default: the rate of the first recording. Steps without a frame repeat the nearest one.
     views
-        Images to take along: any of ``left`` and ``right``.
+        Views whose images are exported: any of ``left`` and ``right``.
     progress
-        Called with the steps done and with all of them.
+        Called with the steps done and the total.
 
     Returns
     -------
@@ -61,7 +61,7 @@ def export_lerobot(
     Raises
     ------
     ExportError
-        If a recording cannot be used, or the folder is taken.
+        If a recording cannot be used, or the folder exists.
     """
     if folder.exists():
         raise ExportError(f"{folder} is there already; name a new folder, or remove that one")
@@ -152,7 +152,8 @@ def _episode_row(episode: Episode, task: str) -> dict[str, Any]:
 
 
 def _write_tasks(path: Path, task: str) -> None:
-    """LeRobot reads tasks with pandas, with the task as the index; its notes in the file say which column that is."""
+    """Write the tasks. LeRobot reads them with pandas, whose metadata in the file marks the task as the index column.
+    """
     index = "__index_level_0__"
     texts = {"metadata": None, "numpy_type": "object", "pandas_type": "unicode"}
     notes = {

@@ -1,4 +1,4 @@
-"""Frames of a recording, one after the other: markers and images."""
+"""Iterates over the frames of a recording: markers and images."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _TOPICS = {_POINTS, _CAPTURE, _STEREO, *_IMAGES}
 
 
 class ExportError(Error):
-    """A recording cannot be exported, or not to this place."""
+    """A recording cannot be exported, or the target cannot be used."""
 
 
 @dataclass(frozen=True)
@@ -49,15 +49,15 @@ class RecordedFrame:
     Attributes
     ----------
     time_ns : int
-        On the frame source's clock.
+        Time on the frame source's clock.
     rows, cols : int
-        Size of the lattice; marker ``row * cols + col`` stands at that index.
+        Size of the lattice; marker ``row * cols + col`` has that index.
     points_mm : (N, 3) float64
         Sensor frame.
     state : (N,) uint8
         `gelstereo.MarkerState`.
     images : dict
-        ``left`` and ``right``, (H, W) uint8, where the recording has them.
+        ``left`` and ``right``, (H, W) uint8, if recorded.
     """
 
     time_ns: int
@@ -74,7 +74,7 @@ def frame_times_ns(path: Path) -> list[int]:
 
 
 def recorded_frames(path: Path) -> Iterator[RecordedFrame]:
-    """All frames with markers, in the order of the file. Frames that could not be sensed have none.
+    """All frames with markers, in the order of the file. Frames that could not be sensed are left out.
 
     Raises
     ------
@@ -103,7 +103,7 @@ def recorded_frames(path: Path) -> Iterator[RecordedFrame]:
 
 
 def _messages(path: Path, topics: set[str]) -> Iterator[tuple[str, Any]]:
-    """Messages by the definitions that the file has; of a file that was cut off, those before the cut."""
+    """Messages, decoded by the definitions in the file. For a truncated file, the messages before the end."""
     store: Any = get_typestore(Stores.EMPTY)
     known: set[str] = set()
     count = 0

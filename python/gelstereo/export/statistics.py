@@ -1,4 +1,4 @@
-"""Statistics of a dataset's features, by the names that LeRobot gives them."""
+"""Statistics of a dataset's features, under LeRobot's names."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Statistics = dict[str, npt.NDArray[np.float64]]
 def statistics(values: npt.NDArray[np.generic]) -> Statistics:
     """Statistics of each column, (K,), of values (T, ..., K); ``count`` is T.
 
-    Quantiles are exact, where LeRobot's own are of a histogram.
+    Quantiles are exact; LeRobot estimates them from a histogram.
     """
     columns = np.asarray(values, dtype=np.float64).reshape(-1, values.shape[-1] if values.ndim > 1 else 1)
     quantiles = np.quantile(columns, _QUANTILES, axis=0)
@@ -29,14 +29,14 @@ def statistics(values: npt.NDArray[np.generic]) -> Statistics:
 
 
 def image_statistics(levels: npt.NDArray[np.generic], count: int) -> Statistics:
-    """Statistics of grey images as three equal colours from 0 to 1, (3, 1, 1), of sampled levels (0 to 255)."""
+    """Statistics of grey images as three equal colours from 0 to 1, (3, 1, 1), from sampled levels (0 to 255)."""
     grey = statistics(np.asarray(levels, dtype=np.float64).reshape(-1) / 255.0)
     out = {name: np.broadcast_to(value.reshape(1, 1, 1), (3, 1, 1)) for name, value in grey.items()}
     return {**out, "count": np.array([count], dtype=np.float64)}
 
 
 def pooled(parts: list[Statistics]) -> Statistics:
-    """Statistics of several episodes together. Quantiles are averages by count, as LeRobot pools them."""
+    """Pooled statistics of several episodes. Quantiles are averaged by count, as in LeRobot."""
     counts = np.array([part["count"][0] for part in parts])
 
     def mean(values: list[npt.NDArray[np.float64]]) -> npt.NDArray[np.float64]:

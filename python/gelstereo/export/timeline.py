@@ -1,4 +1,4 @@
-"""Frames at a steady rate, as datasets want them, from times that are not quite steady."""
+"""Resampling of recorded frames to a constant rate."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ _NS_PER_S = 1e9
 
 @dataclass(frozen=True)
 class Timeline:
-    """Which recorded frame stands at each step of a steady rate.
+    """The recorded frame for each step of a constant rate.
 
     Attributes
     ----------
     fps : int
     taken : list of int
-        Index of the recorded frame that is nearest to each step; it never falls.
+        Index of the recorded frame nearest to each step; non-decreasing.
     frames : int
-        Recorded frames in all.
+        Total number of recorded frames.
     """
 
     fps: int
@@ -29,7 +29,7 @@ class Timeline:
 
     @classmethod
     def of(cls, times_ns: Sequence[int], fps: int | None = None) -> Timeline:
-        """Steps from the first frame to the last; `fps` is the nearest whole rate of the recording if left out.
+        """Steps from the first frame to the last. Default for `fps`: the recording's rate, rounded to an integer.
 
         Examples
         --------
@@ -48,10 +48,10 @@ class Timeline:
 
     @property
     def repeated(self) -> int:
-        """Steps without a frame of their own: frames that the recording lacks."""
+        """Number of steps that repeat a frame, because the recording has none there."""
         return len(self.taken) - len(set(self.taken))
 
     @property
     def passed_over(self) -> int:
-        """Recorded frames that stand at no step."""
+        """Number of recorded frames that no step uses."""
         return self.frames - len(set(self.taken))
