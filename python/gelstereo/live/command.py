@@ -36,11 +36,11 @@ With a camera: gelstereo live --camera /dev/video0 --rig rig.toml --record run.m
 Nothing may touch the gel in the first frame. Ctrl-C ends the run and completes the recording.
 """
 
-#: Deviation of a scene's flattened part from the true one.
+#: Tolerance of a scene's triangulated part.
 _SHAPE_TOLERANCE_MM = 0.02
-#: Mesh files that the host can read.
+#: Mesh file formats that the host reads.
 _HOST_MESHES = (".stl", ".obj")
-#: Seconds between figures on the terminal.
+#: Interval of status lines on the terminal, seconds.
 _REPORT_S = 1.0
 
 
@@ -125,7 +125,7 @@ def _add_camera(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Sense, show and record until the end; the exit code."""
+    """Sense, show and record until the end; return the exit code."""
     setup = _setup(arguments)
     sensor = LiveSensor(setup.rig, params_of(arguments), setup.part)
     live = LiveRun(setup.source, sensor, arguments.frames)
@@ -135,7 +135,7 @@ def run(arguments: argparse.Namespace) -> int:
         return picture.draw(shown.result, shown.reading, shown.recording)
 
     try:
-        # The viewer first: where there can be none, no file is left behind.
+        # Open the viewer first: if that fails, no file is left behind.
         with _viewer(arguments, setup, live, draw) as show:
             if arguments.record is not None:
                 record = module_of("gelstereo live --record", "gelstereo.live.record")
@@ -151,7 +151,7 @@ def run(arguments: argparse.Namespace) -> int:
                 show()
             live.wait(0.0)
     except KeyboardInterrupt:
-        # The usual end of a run: the recording is complete by now.
+        # The usual end of a run; the recording is complete at this point.
         sys.stderr.write("\n")
     last = live.newest.newer_than(0, 0.0)
     if arguments.picture is not None and last is not None:
@@ -197,14 +197,14 @@ def _setup(arguments: argparse.Namespace) -> _Setup:
 
 
 def _device_size_px(rig: Rig, arguments: argparse.Namespace) -> tuple[int, int]:
-    """Size of a device's frames whose views are as large as the rig's: side by side, they are twice as wide."""
+    """Frame size of a device whose views have the rig's size: side by side, the frames are twice as wide."""
     width, height = rig.size_px
     beside = arguments.right_camera is None and not (arguments.layout or "").startswith("interleaved")
     return (2 * width if beside else width), height
 
 
 def _part(arguments: argparse.Namespace) -> tuple[ExpectedPart | None, dict[str, Any] | None]:
-    """The part that was named, and its shape where the host can read it from a recording."""
+    """The requested part, and its shape if the host can read it from a recording."""
     path, shape = arguments.template, None
     if path is None:
         return None, None
@@ -218,7 +218,7 @@ def _part(arguments: argparse.Namespace) -> tuple[ExpectedPart | None, dict[str,
 
 
 def _part_of(scene: SceneSource, folder: Path) -> tuple[ExpectedPart | None, dict[str, Any] | None]:
-    """The scene's own part, expected where the scene first has it; None without one. `folder` is the scene's."""
+    """The scene's part, expected at its first pose in the scene; None without a part. `folder` is the scene's."""
     start = scene.simulator[0].t_sensor_object
     shape = scene.simulator.scene.to_dict().get("indenter")
     if shape is None or start is None:
@@ -235,7 +235,7 @@ def _part_of(scene: SceneSource, folder: Path) -> tuple[ExpectedPart | None, dic
 def _viewer(
     arguments: argparse.Namespace, setup: _Setup, live: LiveRun, draw: Callable[[Shown], Image]
 ) -> Iterator[Callable[[], None]]:
-    """The viewer that was asked for, made ready: what is yielded shows the run until it ends."""
+    """Context of the requested viewer; yields a function that shows the run until it ends."""
     kind, problem = arguments.show, window_problem("use --show web")
     if kind == "auto":
         kind = "web" if problem else "window"
@@ -256,7 +256,7 @@ def _viewer(
 
 
 def _wait(live: LiveRun) -> None:
-    """Wait for the end; people see the figures every second."""
+    """Wait for the end; on a terminal, print the figures every second."""
     while not live.wait(_REPORT_S):
         if sys.stderr.isatty():
             sys.stderr.write(f"\r{_figures(live.reading)}\x1b[K")
@@ -270,7 +270,7 @@ def _figures(reading: Reading) -> str:
 
 
 def _report(live: LiveRun, record: Path | None) -> int:
-    """Tell what came of the run; the exit code, 1 if its recording is not complete."""
+    """Print a summary of the run; return the exit code, 1 if its recording is not complete."""
     print(f"sensed     {_figures(live.reading)}")
     for event in live.reading.events:
         print(f"event      {event.after_s:.1f} s: {event.text}")

@@ -1,4 +1,4 @@
-"""A place for the newest value: who writes never waits, who reads skips what came in between."""
+"""A slot for the newest value: the writer never waits, and readers skip intermediate values."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ T = TypeVar("T")
 
 
 class Latest(Generic[T]):
-    """The newest of a sequence of values, and its number; each reader waits for one newer than it has."""
+    """The newest of a sequence of values, and its number. Each reader waits for a value newer than its last one."""
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
@@ -25,23 +25,23 @@ class Latest(Generic[T]):
             self._changed.notify_all()
 
     def close(self) -> None:
-        """Tell readers that there will be no newer value."""
+        """Signal to readers that no newer value will follow."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
 
     @property
     def number(self) -> int:
-        """How many values there have been."""
+        """Number of values so far."""
         return self._number
 
     @property
     def closed(self) -> bool:
-        """Whether there will be no newer value."""
+        """Whether no newer value will follow."""
         return self._closed
 
     def newer_than(self, number: int, timeout_s: float) -> tuple[int, T] | None:
-        """The newest value and its number, once that is larger than `number`; None after `timeout_s`, or if closed."""
+        """Wait for a value with a number above `number`; return both, or None after `timeout_s` or if closed."""
         with self._changed:
             self._changed.wait_for(lambda: self._number > number or self._closed, timeout_s)
             if self._number > number and self._value is not None:

@@ -11,15 +11,15 @@ import numpy as np
 
 from gelstereo.live.sensing import LiveResult
 
-#: Rate and latency are those of this time before the last frame, seconds: long enough for a 99th percentile of
-#: frames at 60 Hz, short enough to show a change at once.
+#: Window for rate and latency, seconds before the last frame: long enough for a 99th percentile at 60 Hz, short enough
+#: to show changes quickly.
 _WINDOW_S = 2.0
 _KEPT_EVENTS = 5
 
 
 @dataclass(frozen=True)
 class Event:
-    """What happened, how many seconds after the start, and its number, from 1."""
+    """An event: its text, time in seconds after the start, and number from 1."""
 
     after_s: float
     text: str
@@ -33,13 +33,13 @@ class Reading:
     Attributes
     ----------
     frames, stale, dropped, failed : int
-        New frames; calls without one; frames that were lost before; new frames that could not be sensed.
+        Counts: new frames; calls without a new frame; lost frames; new frames that could not be sensed.
     rate_hz : float
-        New frames a second.
+        New frames per second.
     p50_ms, p99_ms : float
-        Latency: driver's timestamp (or arrival) to result. 0 before the first frame.
+        Latency from the driver's timestamp (or arrival) to the result. 0 before the first frame.
     events : tuple of Event
-        The last ones, the newest last.
+        The most recent events, in order of time.
     """
 
     frames: int = 0
@@ -54,7 +54,7 @@ class Reading:
 
 @dataclass
 class Meter:
-    """Counts results; `clock` gives seconds."""
+    """Counts results; `clock` returns seconds."""
 
     clock: Callable[[], float] = time.monotonic
     _start_s: float | None = None
@@ -67,7 +67,7 @@ class Meter:
     _event_count: int = 0
 
     def count(self, result: LiveResult) -> Reading:
-        """Take a result into account; the figures with it."""
+        """Count a result; return the updated figures."""
         now_s = self.clock()
         self._start_s = now_s if self._start_s is None else self._start_s
         self._dropped += result.frame.dropped
@@ -88,7 +88,7 @@ class Meter:
 
     def _note(self, now_s: float, text: str) -> None:
         after_s = now_s - (self._start_s or 0.0)
-        # The same again only tells that it goes on.
+        # A repeated event only reports that the state persists.
         if not self._events or self._events[-1].text != text:
             self._event_count += 1
             self._events.append(Event(after_s, text, self._event_count))

@@ -1,4 +1,4 @@
-"""What a live recording says besides images and clouds, as the host says it: notes in JSON, and the configuration."""
+"""Notes of a live recording besides images and clouds, in the host's format: JSON messages and the configuration."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ Floats = npt.NDArray[np.float64]
 
 _MM_PER_M = 1000.0
 
-#: What is expected of a held part where its contact says nothing: the defaults of the host's ``task.part_sigma_mm``
-#: and ``task.part_sigma_rad``.
+#: Prior standard deviations of a held part for directions that its contact does not determine: the defaults of the
+#: host's ``task.part_sigma_mm`` and ``task.part_sigma_rad``.
 _PART_SIGMA_MM, _PART_SIGMA_RAD = 0.6, 0.03
 
 
 def ros_covariance(information: Floats, t_sensor_object: Floats) -> Floats:
-    """Covariance of the part's origin and of its turn about the sensor's axes, as ROS has it.
+    """Covariance of the part's origin and of its rotation about the sensor's axes, in the ROS convention.
 
     Parameters
     ----------
@@ -35,11 +35,11 @@ def ros_covariance(information: Floats, t_sensor_object: Floats) -> Floats:
     Returns
     -------
     (6, 6) float64
-        x y z, then rotations about them; metres and radians. What the contact leaves free has the variance that is
-        expected of a held part: large but finite, as filters want it.
+        x y z, then rotations about them; metres and radians. Undetermined directions have the prior variance of a held
+        part: large but finite, as filters require.
     """
     x, y, z = t_sensor_object[:3, 3]
-    # The perturbation moves the origin p by v + ω x p; so v = δp + p x ω.
+    # The perturbation moves the origin p by δp = v + ω x p, so v = δp + p x ω.
     jacobian = np.zeros((6, 6))
     jacobian[:3, 3:] = np.eye(3)
     jacobian[3:, :3] = np.eye(3)
@@ -53,7 +53,7 @@ def ros_covariance(information: Floats, t_sensor_object: Floats) -> Floats:
 
 
 def frame_note(result: LiveResult) -> dict[str, Any]:
-    """What the host says of a frame on ``/gelstereo/frame``: counts and the digest of all results, or the error."""
+    """The host's message about a frame on ``/gelstereo/frame``: counts and the digest of all results, or the error."""
     sensed = result.sensed
     if sensed is None:
         return {"error": result.problem}
@@ -69,7 +69,7 @@ def frame_note(result: LiveResult) -> dict[str, Any]:
 
 
 def pose_note(located: Localization) -> dict[str, Any]:
-    """What is known of a pose, for ``/gelstereo/stage``: how it was come by, what is free, and the digest."""
+    """Description of a pose for ``/gelstereo/stage``: how it was found, its free directions, and the digest."""
     return {
         "stage": "live",
         "tracking": located.tracking,
@@ -80,9 +80,9 @@ def pose_note(located: Localization) -> dict[str, Any]:
 
 
 def capture_note(frame: LiveFrame) -> dict[str, Any]:
-    """How a frame was captured, for ``/gelstereo/capture``; clocks are the system's monotonic one.
+    """Capture data of a frame for ``/gelstereo/capture``; times are of the system's monotonic clock.
 
-    The CRC-32 of the pixels is what a replay compares its decoded images with.
+    A replay compares its decoded images with the CRC-32 of the pixels.
     """
     return {
         "sequence": frame.sequence,
@@ -103,7 +103,7 @@ def _pixel_crc(image: npt.NDArray[np.uint8]) -> str:
 
 
 def config_toml(rig: Rig, params: Params, shape: dict[str, Any] | None = None) -> str:
-    """A configuration of the host with this rig, these settings and this part."""
+    """Configuration of the host with this rig, these settings and this part."""
     parts = [_under("params", params.to_toml()), _under("rig", rig.to_toml())]
     if shape is not None:
         parts.append(f"[part]\nshape = {_inline(shape)}\n")

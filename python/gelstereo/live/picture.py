@@ -1,6 +1,6 @@
-"""The live picture: left image with markers, motion, contact and pose, and the figures of the source beside it.
+"""The live picture: left image with markers, motion, contact and pose, and the source's figures beside it.
 
-It is drawn in a few milliseconds, without supersampling: `gelstereo.view` draws pictures for print.
+Drawing takes a few milliseconds, without supersampling; `gelstereo.view` draws pictures for print.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _SHIFT = 4  # fractional bits of OpenCV's drawing coordinates
 _ARROW: Colour = (255, 255, 255)
 _PART: Colour = (120, 235, 120)
 _ALARM: Colour = (40, 40, 205)
-#: Blue, green, red: the part's axes x, y, z in red, green and blue, as robot software draws them.
+#: Colours (BGR) of the part's axes: x, y, z in red, green and blue, as usual in robotics.
 _AXES: tuple[Colour, ...] = ((60, 60, 230), (70, 180, 70), (230, 120, 60))
 _AXIS_MM = 4.0
 _MAX_PART_POINTS = 1500
@@ -51,9 +51,9 @@ class LivePicture:
         ----------
         result : LiveResult
         reading : Reading
-            Figures of the source with it.
+            Figures of the source at that time.
         recording : str, optional
-            What is known of a recording that runs, for example its size.
+            Status of a running recording, for example its size.
 
         Returns
         -------
@@ -108,7 +108,7 @@ class LivePicture:
     def _arrows(self, view: Image, start: Floats, end: Floats) -> None:
         along = end - start
         length = np.hypot(along[:, 0], along[:, 1])
-        # Shorter ones have no direction to speak of.
+        # Shorter arrows have no visible direction.
         long = length > 1.5
         start, end, along = start[long], end[long], along[long] / length[long, None]
         self._lines(view, np.stack([start, end], axis=1), _ARROW)
@@ -137,7 +137,7 @@ class LivePicture:
             cell = min(_SIDE_WIDTH / sensed.cols, 250.0 / sensed.rows)
             size = (round(cell * sensed.cols), round(cell * sensed.rows))
             cells = colours.reshape(sensed.rows, sensed.cols, 3)
-            # Every marker is a cell of its own: nothing is made up between them.
+            # Every marker is a separate cell, without interpolation.
             canvas[y : y + size[1], x : x + size[0]] = self._cv2.resize(
                 cells, size, interpolation=self._cv2.INTER_NEAREST
             )
@@ -191,7 +191,7 @@ class LivePicture:
     def _lines(
         self, view: Image, corners: Floats, colour: Colour, *, closed: bool = False, width: int = 1
     ) -> None:
-        """Many polylines at once, (N, K, 2); what lies far outside, or nowhere, is left out."""
+        """Draw many polylines at once, (N, K, 2); those far outside or with NaN are left out."""
         good = np.isfinite(corners).all(axis=(1, 2)) & (np.abs(corners) < 1e4).all(axis=(1, 2))
         fixed = np.round(corners[good] * (1 << _SHIFT)).astype(np.int32)
         self._cv2.polylines(view, list(fixed), closed, colour, width, self._cv2.LINE_AA, _SHIFT)

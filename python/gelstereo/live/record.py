@@ -1,8 +1,8 @@
 """Recording a live run as MCAP with ROS 2 messages: the topics, names and units of `gelstereo-host run`.
 
-It is written from Python, by `mcap` and the message definitions of `rosbags`: the Rust recorder belongs to a host with
-threads and files of its own, and sending it every image through a pipe would cost more than writing them here. Images,
-settings, rig and digests are kept, so that ``gelstereo-host replay`` computes every frame again and compares.
+It is written from Python, with `mcap` and the message definitions of `rosbags`. The Rust recorder is part of the host
+process, and sending it every image through a pipe would cost more than writing the images here. The recording includes
+images, settings, rig and digests, so ``gelstereo-host replay`` can recompute every frame and compare.
 """
 
 from __future__ import annotations
@@ -67,21 +67,22 @@ _POINT = np.dtype(
 
 
 class LiveRecorder:
-    """Writes results to one file; a context manager. Every frame is handed to the system before the next one.
+    """Writes results to one file; a context manager. Every frame is flushed to the system before the next one.
 
     Parameters
     ----------
     path
-        The file; its folder is made.
+        The file; its folder is created.
     rig, params
-        Those of the pipeline.
+        Rig and settings of the pipeline.
     shape : dict, optional
-        The part's shape, as a scene's ``indenter`` has it, so that `gelstereo view` can draw it. A mesh is attached.
+        The part's shape in the format of a scene's ``indenter``, so that `gelstereo view` can draw it. A mesh is
+        attached.
     png
-        Whether plain images are compressed without loss. Motion JPEG of a camera is kept as it came.
+        Whether plain images are compressed without loss. Motion JPEG of a camera is stored unchanged.
     wall_clock
-        Whether messages are also stamped with this computer's time of day, as those of a camera should be. Otherwise a
-        run gives the same file whenever it is made.
+        Whether messages are also stamped with the wall-clock time, as for a camera. Otherwise repeated runs produce
+        identical files.
     """
 
     def __init__(
@@ -100,7 +101,7 @@ class LiveRecorder:
         self._wall_clock = wall_clock
         self._store: Any = get_typestore(Stores.ROS2_HUMBLE)
         self._file = path.open("wb")
-        # Only `flush` ends a chunk, after each frame.
+        # Chunks end only at `flush`, after each frame.
         self._writer: Any = Writer(self._file, chunk_size=_MAX_CHUNK, compression=CompressionType.LZ4)
         self._writer.start(profile="ros2", library=f"gelstereo {__version__}")
         clock = "wall" if wall_clock else "source"
@@ -118,7 +119,7 @@ class LiveRecorder:
         self._writer.flush()
 
     def _channel(self, topic: str, name: str) -> int:
-        """The topic's channel, which begins with its first message."""
+        """The topic's channel, created with its first message."""
         if topic in self._channels:
             return self._channels[topic]
         if name not in self._schemas:
@@ -136,12 +137,12 @@ class LiveRecorder:
         return self._file.tell()
 
     def write(self, result: LiveResult) -> None:
-        """Write a result. Of a stale frame only the event is kept: its images are in the file already.
+        """Write a result. For a stale frame only the event is written, because its images are in the file already.
 
         Raises
         ------
         OSError
-            If the disk is full or away; what was written before can be read.
+            If the disk is full or removed; earlier data stays readable.
         """
         frame, time_ns = result.frame, result.frame.time_ns
         if frame.event is not None:
@@ -164,8 +165,8 @@ class LiveRecorder:
             self._file.close()
 
     def abandon(self) -> None:
-        """Close the file as it is, after an error of the disk."""
-        with contextlib.suppress(OSError):  # the rest of the buffer has no room, either
+        """Close the file without an index, after a disk error."""
+        with contextlib.suppress(OSError):  # writing the rest of the buffer fails too
             self._file.close()
 
     def __enter__(self) -> LiveRecorder:
@@ -189,7 +190,7 @@ class LiveRecorder:
         self._sequences[topic] += 1
 
     def _text(self, topic: str, time_ns: int, note: dict[str, Any]) -> None:
-        # Keys in order and no spaces, as the host writes them: a replay compares letter by letter.
+        # Sorted keys and no spaces, as the host writes them: a replay compares byte by byte.
         self._add(topic, time_ns, data=json.dumps(note, sort_keys=True, separators=(",", ":")))
 
     def _header(self, time_ns: int, frame_id: str) -> Any:
@@ -199,7 +200,7 @@ class LiveRecorder:
         return types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame_id)
 
     def _pair(self, frame: LiveFrame) -> None:
-        """Both images: as the camera sent them, or else without loss."""
+        """Both images: as sent by the camera, or losslessly encoded."""
         time_ns, sides = (
             frame.time_ns,
             (("left", SENSOR_FRAME, frame.left), ("right", RIGHT_FRAME, frame.right)),

@@ -1,4 +1,4 @@
-"""The live moment in Rerun: images, clouds, the part and the figures over time."""
+"""Live view in Rerun: images, clouds, the part and the figures over time."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from gelstereo.view.rerun_stream import RerunStream
 with needs(__name__):
     import rerun
 
-#: Moments a second that are logged. A recording keeps every frame; a viewer need not.
+#: Moments logged per second. A recording keeps every frame; a viewer does not need to.
 _MAX_RATE_HZ = 15.0
 _MAX_PART_POINTS = 1500
 _NS_PER_S = 1e9
@@ -27,7 +27,7 @@ class RerunViewer:
     Parameters
     ----------
     file
-        An .rrd file to write. Without one Rerun's viewer is started, which needs a display.
+        An .rrd file to write. Without a file, Rerun's viewer is started, which needs a display.
     part
         The part whose pose is shown.
     """
@@ -47,7 +47,7 @@ class RerunViewer:
         self._sink.__exit__(kind, error, trace)
 
     def follow(self, newest: Latest[Shown]) -> None:
-        """Log the newest moments until the run ends, or the viewer is closed."""
+        """Log the newest moments until the run ends or the viewer is closed."""
         number = 0
         while not newest.closed and not self._sink.has_ended():
             started_s = time.monotonic()

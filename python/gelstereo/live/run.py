@@ -1,4 +1,4 @@
-"""A live run: one thread senses and records, and viewers look at the newest moment."""
+"""A live run: one thread senses and records, and viewers show the newest moment."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ _BYTES_PER_MB = 1e6
 
 
 class LiveRun:
-    """Senses every frame of a source in a thread of its own; a context manager.
+    """Senses every frame of a source in its own thread; a context manager.
 
     Attributes
     ----------
     newest : Latest of Shown
-        What viewers look at. It is closed when the run ends.
+        The moment for viewers. It is closed when the run ends.
     recorder : LiveRecorder or None
-        Set before the start, it is given every result, and closed when the run ends.
+        Must be set before the start. It receives every result, and is closed when the run ends.
     reading : Reading
         The figures so far.
     recording_error : str or None
-        Why the recording ended before the run.
+        Reason why the recording ended before the run.
     """
 
     def __init__(
@@ -58,7 +58,7 @@ class LiveRun:
         self.stop()
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait for the end; whether it has come. An error that ended the run is raised here, once."""
+        """Wait for the end and return whether the run has ended. An error that ended it is raised here, once."""
         self._thread.join(timeout_s)
         if self._thread.is_alive():
             return False
@@ -68,7 +68,7 @@ class LiveRun:
         return True
 
     def stop(self) -> None:
-        """End the run after the frame at hand, and close source and recording."""
+        """End the run after the current frame, and close source and recording."""
         self._stop.set()
         self._source.close()
         self._thread.join()
@@ -87,7 +87,7 @@ class LiveRun:
                     break
             if self.recorder is not None:
                 self.recorder.close()
-        except BaseException as error:  # handed to the thread that waits
+        except BaseException as error:  # raised in the waiting thread
             self._failure = error
             if self.recorder is not None:
                 self.recorder.abandon()
@@ -101,7 +101,7 @@ class LiveRun:
         try:
             self.recorder.write(result)
         except OSError as error:
-            # A full disk ends the recording and not the sensing.
+            # A full disk ends the recording but not the sensing.
             self.recording_error = f"the recording ended after frame {self.reading.frames}: {error}"
             self.recorder.abandon()
             self.recorder = None

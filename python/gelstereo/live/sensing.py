@@ -1,4 +1,4 @@
-"""What is made of a live frame: markers, contact and, of a known part, the pose."""
+"""Processing of live frames: markers, contact and, for a known part, the pose."""
 
 from __future__ import annotations
 
@@ -28,34 +28,34 @@ Floats = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ExpectedPart:
-    """The part that will be held, and where it is expected in the sensor frame, (4, 4)."""
+    """The part that will be held, and its expected pose in the sensor frame, (4, 4)."""
 
     template: Template
     t_sensor_object: Floats
 
     def thinned_mm(self, max_points: int) -> Floats:
-        """Some of the template's points for drawing, (N, 3), object frame."""
+        """A subset of the template's points for drawing, (N, 3), object frame."""
         points_mm: Floats = self.template.points_mm
         return points_mm[:: max(1, -(-len(points_mm) // max_points))]
 
 
 @dataclass(frozen=True)
 class LiveResult:
-    """A live frame and what was made of it.
+    """A live frame and its results.
 
     Attributes
     ----------
     frame : LiveFrame
     sensed : Frame or None
-        Markers and contact; None if the frame is stale or could not be sensed.
+        Markers and contact; None if the frame is stale or sensing failed.
     located : Localization or None
-        The part's pose; None without a part, without contact, and if it was not found.
+        The part's pose; None without a part, without contact, or if it was not found.
     reference_px : (N, 2) float64 or None
-        Markers of the left image in the rest frame.
+        Marker positions in the left image of the rest frame.
     problem : str or None
-        Why there is no result, for people.
+        Human-readable reason why there is no result.
     latency_ms : float or None
-        From the driver's timestamp, or where there is none from the frame's arrival, to this result. None if stale.
+        Time from the driver's timestamp, or else from the frame's arrival, to this result. None if stale.
     """
 
     frame: LiveFrame
@@ -67,7 +67,7 @@ class LiveResult:
 
 
 class LiveSensor:
-    """The pipeline over live frames; the first good one is the rest frame, in which nothing touches the gel."""
+    """Runs the pipeline on live frames. The first good frame is the rest frame, in which nothing may touch the gel."""
 
     def __init__(self, rig: Rig, params: Params, part: ExpectedPart | None = None) -> None:
         self.rig = rig
@@ -81,7 +81,7 @@ class LiveSensor:
         self._touched = False
 
     def process(self, frame: LiveFrame) -> LiveResult:
-        """Sense a frame. Frames without markers, or of another size, are results with a `problem`, not errors."""
+        """Sense a frame. Frames without markers or of another size give a result with a `problem`, not an error."""
         if frame.stale:
             return LiveResult(frame, reference_px=self._reference_px, problem=frame.event or "no new frame")
         arrived_ns = time.monotonic_ns() if frame.driver_ns is None else frame.driver_ns
@@ -101,7 +101,7 @@ class LiveSensor:
         if self._localizer is None or self.part is None:
             return None, None
         if not sensed.patch.any():
-            # A part that was let go may come back anywhere: it is expected where it was at the start.
+            # A released part may return anywhere, so the initial guess is used again.
             if self._touched:
                 self._localizer.expect(self.part.t_sensor_object)
             self._touched = False
@@ -119,7 +119,7 @@ class LiveSensor:
 
 
 def contact_of(sensed: Frame) -> dict[str, Any]:
-    """A frame's contact in figures: salient markers, deepest indentation and mean motion.
+    """Contact figures of a frame: salient markers, deepest indentation and mean motion.
 
     Returns
     -------
@@ -135,5 +135,5 @@ def contact_of(sensed: Frame) -> dict[str, Any]:
 
 
 def markers_of(sensed: Frame) -> dict[str, int]:
-    """How many markers are seen, held and lost."""
+    """Numbers of markers seen, held and lost."""
     return {state.name.lower(): int(np.count_nonzero(sensed.state == state)) for state in MarkerState}

@@ -1,4 +1,4 @@
-"""What viewers show: a result, the figures with it, and the recording."""
+"""Data for viewers: a result, the figures at that time, and the recording."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Shown:
     result : LiveResult
     reading : Reading
     recording : str or None
-        The file that is written and its size, for people.
+        Name and size of the file being written, as text.
     """
 
     result: LiveResult
@@ -26,7 +26,7 @@ class Shown:
     recording: str | None = None
 
     def as_json(self) -> dict[str, Any]:
-        """Everything but the images, for JSON; lengths in millimetres, times in milliseconds."""
+        """Everything except the images, for JSON; lengths in millimetres, times in milliseconds."""
         frame, sensed, located = self.result.frame, self.result.sensed, self.result.located
         pose = None
         if located is not None:

@@ -1,6 +1,6 @@
-"""Where live stereo frames come from: a camera, a simulated scene, or a folder of images.
+"""Sources of live stereo frames: a camera, a simulated scene, or a folder of images.
 
-All three give the same `LiveFrame`, so that whatever shows or records them can be tried without a camera.
+All three return `LiveFrame`, so viewers and recorders can be tried without a camera.
 """
 
 from __future__ import annotations
@@ -20,40 +20,41 @@ Image = npt.NDArray[np.uint8]
 
 _NS_PER_S = 1_000_000_000
 
-#: Rate of a folder of images when none is named: that of the simulated sensor and of most USB cameras.
+#: Default rate of a folder of images: that of the simulated sensor and of most USB cameras.
 DEFAULT_RATE_HZ = 30.0
 
 
 @dataclass(frozen=True)
 class LiveFrame:
-    """A stereo pair with how it was captured, or an event that came instead of one.
+    """A stereo pair with its capture data, or an event in place of a pair.
 
     Attributes
     ----------
     left, right : (H, W) uint8
         Images; those of an earlier frame if `stale`.
     sequence : int
-        The driver's number of the frame; in a scene or folder, the number of frames before it.
+        The driver's frame number; for a scene or folder, the number of frames before it.
     time_ns : int
-        Moment of exposure on the source's own clock.
+        Exposure time on the source's own clock.
     driver_ns : int or None
-        When the driver had the images, on the system's monotonic clock. None without a driver.
+        Time when the driver had the images, on the system's monotonic clock. None without a driver.
     received_ns : int or None
-        When both images were decoded, on the same clock. None without a driver.
+        Time when both images were decoded, on the same clock. None without a driver.
     dropped : int
-        Frames that were lost or passed over since the frame before.
+        Frames lost or skipped since the previous frame.
     skew_ns : int
         The right image's time minus the left one's; 0 for one stereo device.
     stale : bool
-        Whether no new images came.
+        Whether no new images arrived.
     event : str or None
-        What happened to the source, for people.
+        Human-readable event of the source.
     encoded : tuple of bytes
-        The camera's JPEG files: one of both views, or left and right; empty without.
+        The camera's JPEG files: one with both views, or left and right; empty if there are none.
     layout : str or None
-        Where the views stand in a file of both, as `gelstereo.cameras` names it.
+        Arrangement of the views in a file of both, named as in `gelstereo.cameras`.
     event_fields : dict or None
-        The same for programs, as the host writes it: ``event`` names it, the others are its figures.
+        The event in machine-readable form, as written by the host: ``event`` is its name, the other entries are its
+        figures.
     """
 
     left: Image
@@ -72,7 +73,7 @@ class LiveFrame:
 
 
 class LiveSource(Protocol):
-    """A source of frames. Iterating waits for the next one, for at most a few seconds."""
+    """A source of frames. Iteration waits for the next frame, for at most a few seconds."""
 
     name: str
     rate_hz: float | None
@@ -84,9 +85,9 @@ class LiveSource(Protocol):
 
 
 class SceneSource:
-    """A simulated scene at its own frame rate, played there and back for ever.
+    """A simulated scene at its own frame rate, played forwards and backwards without end.
 
-    Played backwards, a press is a release: the markers never jump, as they would at a restart.
+    A press played backwards is a release, so the markers never jump as they would at a restart.
     """
 
     def __init__(self, scene: Scene | str | Path) -> None:
@@ -111,7 +112,7 @@ class SceneSource:
 
 
 class FolderSource:
-    """Images ``left/NAME.png`` and ``right/NAME.png`` of a folder, played there and back for ever."""
+    """Images ``left/NAME.png`` and ``right/NAME.png`` of a folder, played forwards and backwards without end."""
 
     def __init__(self, folder: Path, rate_hz: float = DEFAULT_RATE_HZ) -> None:
         from gelstereo.cli.files import stereo_pairs
@@ -138,7 +139,7 @@ class FolderSource:
 
 
 class CameraSource:
-    """A camera; device and settings are those of `gelstereo.cameras.open`."""
+    """A camera; device and settings as in `gelstereo.cameras.open`."""
 
     def __init__(self, device: str, **settings: Any) -> None:
         from gelstereo import cameras
@@ -154,7 +155,7 @@ class CameraSource:
             try:
                 frame = self._camera.read()
             except CameraError:
-                # It may be closed while a frame is waited for.
+                # The camera may be closed while this waits for a frame.
                 if self._closed:
                     return
                 raise
@@ -184,7 +185,7 @@ class CameraSource:
 
 
 def _there_and_back(count: int) -> Iterator[int]:
-    """0 up to the last and back to 0, for ever; neighbours differ by one.
+    """Indices from 0 to the last and back to 0, without end; neighbours differ by one.
 
     Examples
     --------
@@ -203,7 +204,7 @@ def _there_and_back(count: int) -> Iterator[int]:
 def _played(
     count: int, pair: Callable[[int], tuple[Image, Image]], rate_hz: float, closed: Callable[[], bool]
 ) -> Iterator[LiveFrame]:
-    """Pairs at a steady rate on a clock of their own, which starts at 0; later when they take longer to make."""
+    """Pairs at a constant rate, with times that start at 0; slower if computing them takes longer."""
     period_ns = round(_NS_PER_S / rate_hz)
     due_ns = time.monotonic_ns()
     for sequence, index in enumerate(_there_and_back(count)):
@@ -214,5 +215,5 @@ def _played(
         yield LiveFrame(
             left=left, right=right, sequence=sequence, time_ns=round(sequence * _NS_PER_S / rate_hz)
         )
-        # A source that cannot keep up gives fewer frames, not a burst of late ones.
+        # A source that cannot keep up skips frames instead of sending a burst of late ones.
         due_ns = max(due_ns + period_ns, time.monotonic_ns())

@@ -1,7 +1,7 @@
-"""The live picture as a web page of this computer: an MJPEG stream and a status in JSON.
+"""The live picture as a local web page: an MJPEG stream and a status in JSON.
 
-The server listens on the loopback interface alone. A picture is drawn when somebody looks, and every browser gets the
-newest one: a slow browser misses pictures and delays nothing.
+The server listens only on the loopback interface. Pictures are drawn on request, and every browser gets the newest one.
+A slow browser misses pictures but delays nothing.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from gelstereo.view.canvas import Image
 HOST = "127.0.0.1"
 DEFAULT_PORT = 8770
 
-#: Pictures a second for each browser. More costs the sensing time of the processor and looks the same.
+#: Pictures per second for each browser. More would take processor time from sensing without visible benefit.
 _MAX_RATE_HZ = 15.0
 _JPEG_QUALITY = 85
-#: Seconds after which a browser that takes nothing is given up, and the longest wait for a new picture.
+#: Timeout of a browser that reads nothing, and longest wait for a new picture, seconds.
 _GIVE_UP_S, _WAIT_S = 10.0, 1.0
 _BOUNDARY = "gelstereo-picture"
-#: Names of this computer in requests. Others are pages elsewhere whose name was made to point here.
+#: Accepted host names in requests. Any other name indicates DNS rebinding by a foreign page.
 _OWN_NAMES = {"127.0.0.1", "localhost"}
 
 
@@ -65,13 +65,14 @@ class WebViewer:
         self._thread.join()
 
     def picture(self, after: int) -> tuple[int, bytes] | None:
-        """The newest picture as JPEG and its number, once there is one after `after`; None if there is none soon."""
+        """Wait for a picture with a number above `after`; return it as JPEG with its number, or None after a timeout.
+        """
         found = self._newest.newer_than(after, _WAIT_S)
         if found is None:
             return None
         number, shown = found
         with self._drawing:
-            # Several browsers share one drawing.
+            # Several browsers share one picture.
             if self._drawn[0] < number:
                 self._drawn = (number, _jpeg(self._draw(shown)))
             return self._drawn
@@ -83,13 +84,13 @@ class WebViewer:
 
     @property
     def ended(self) -> bool:
-        """Whether the run is over."""
+        """Whether the run has ended."""
         return self._newest.closed
 
 
 class _Server(ThreadingHTTPServer):
     daemon_threads = True
-    # A browser that hangs must not keep the run from ending.
+    # A hanging browser must not block the end of the run.
     block_on_close = False
 
     def __init__(self, address: tuple[str, int], viewer: WebViewer) -> None:
@@ -97,7 +98,7 @@ class _Server(ThreadingHTTPServer):
         super().__init__(address, _Handler)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Browsers go away in the middle of a picture; nothing is wrong then."""
+        """Ignore errors of browsers that disconnect in the middle of a picture."""
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -105,7 +106,7 @@ class _Handler(BaseHTTPRequestHandler):
     server: _Server
 
     def do_GET(self) -> None:
-        """Answer the page, its stream, one picture or the status."""
+        """Serve the page, its stream, one picture or the status."""
         name = self.headers.get("Host", "")
         if (name.rpartition(":")[0] or name) not in _OWN_NAMES:
             self.send_error(403, f"This page is served under http://{HOST} alone")
@@ -164,7 +165,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.end_headers()
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Requests are not printed: the page makes two every second."""
+        """Do not print requests: the page makes two every second."""
 
 
 def _jpeg(picture: Image) -> bytes:

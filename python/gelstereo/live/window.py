@@ -1,4 +1,4 @@
-"""The live picture in a window of OpenCV, where OpenCV has windows and there is a display."""
+"""The live picture in an OpenCV window; needs OpenCV with window support and a display."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from gelstereo.view.canvas import Image
 
 _NAME = "gelstereo live"
 _ESCAPE = 27
-#: Milliseconds that the window has for its events with each picture; also the pace at which it looks for a new one.
+#: Time for window events per picture, milliseconds; also the polling interval for a new picture.
 _EVENTS_MS = 15
 
 

@@ -1,4 +1,4 @@
-"""Parts by their dimensions: what the paper grasps, inserts and presses, as watertight meshes in millimetres.
+"""Parametric parts of the paper's experiments, as watertight meshes in millimetres.
 
 >>> import gelstereo as gs
 >>> from gelstereo import parts
@@ -40,12 +40,12 @@ __all__ = [
     "usb_plug",
 ]
 
-#: What the paper grasps and inserts (Fig. 10), in its order (a) to (e).
+#: Parts that the paper grasps and inserts (Fig. 10), in its order (a) to (e).
 PEGS: "Mapping[str, Callable[[], trimesh.Trimesh]]" = MappingProxyType(
     {made.__name__: made for made in (peg_round, peg_square, peg_irregular, peg_hexagonal, usb_plug)}
 )
 
-#: What the paper presses into the sensor (Fig. 12), in its order (a) to (f).
+#: Parts that the paper presses into the sensor (Fig. 12), in its order (a) to (f).
 CONTACTS: "Mapping[str, Callable[[], trimesh.Trimesh]]" = MappingProxyType(
     {made.__name__: made for made in (screw_m10, connector_3_5mm, sd_reader, key, irregular_part, usb_drive)}
 )

@@ -1,6 +1,6 @@
-"""The objects that the paper presses into the sensor (Fig. 12), with dimensions of common ones of their kind.
+"""The objects that the paper presses into the sensor (Fig. 12), with common dimensions.
 
-All have their axis along z, the end that a tool or socket takes towards +z.
+Their axis is z; the end that a tool or socket takes points towards +z.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Array = npt.NDArray[np.float64]
 def screw_m10(thread_mm: float = 16.0) -> trimesh.Trimesh:
     """M10 x 1.5 screw with a hexagonal head of 16 mm, 6.4 mm high (ISO 4017; thread by ISO 68-1).
 
-    The thread is cut off flat at both ends. Its profile follows a grid of 1/16 of the pitch, within 0.04 mm.
+    The thread ends flat at both ends. Its profile follows a grid of 1/16 of the pitch, within 0.04 mm.
     """
     pitch_mm, outer_mm, points = 1.5, 5.0, 66
     root_mm = outer_mm - 0.6134 * pitch_mm
@@ -77,7 +77,7 @@ def key() -> trimesh.Trimesh:
         half = 0.5 * thickness_mm
         return np.array([[high_mm, -half], [high_mm, half], [low_mm, half], [low_mm, -half]])
 
-    # From one end of the bow to the shoulder; a key's bow has no needle-sharp end.
+    # From one end of the bow to the shoulder; the bow's end is blunt.
     along = np.linspace(-0.98, np.sqrt(1.0 - (5.0 / bow_mm) ** 2), 40)
     rings = []
     for share in along:
@@ -87,7 +87,7 @@ def key() -> trimesh.Trimesh:
     rings += [(shoulder, section(-5.0, 5.0, 3.0)), (shoulder, section(-blade_mm, blade_mm))]
     cuts = [(4.5 + 3.8 * index, depth_mm) for index, depth_mm in enumerate((1.2, 2.4, 0.8, 1.9, 1.5))]
     for reach_mm in np.linspace(0.1, 24.0, 240):
-        # A cut is 1.1 mm wide at its ground and opens by 45 degrees to both sides.
+        # A cut is 1.1 mm wide at its bottom and opens by 45 degrees to both sides.
         depths = [depth_mm - max(abs(reach_mm - middle) - 0.55, 0.0) for middle, depth_mm in cuts]
         depth_mm = max(0.0, *depths)
         rings.append((shoulder + float(reach_mm), section(-blade_mm, blade_mm - depth_mm)))
@@ -96,7 +96,7 @@ def key() -> trimesh.Trimesh:
 
 
 def irregular_part() -> trimesh.Trimesh:
-    """Plastic part without symmetry: lobes that turn and grow along its axis, a waist and a rounded end."""
+    """Plastic part without symmetry: lobes that twist and grow along its axis, a waist and a rounded end."""
 
     def outline(share: float) -> Array:
         def radius(angle: Array) -> Array:

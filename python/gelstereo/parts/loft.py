@@ -1,7 +1,7 @@
 """Closed surfaces from stacks of rings.
 
-Every part here is one stack: cross-sections along the part's axis, neighbours joined by belts, both ends closed. That
-makes it watertight by construction, without Boolean operations.
+Every part is one stack of cross-sections along its axis. Bands of triangles join neighbours, and both ends are closed.
+The result is watertight by construction, without Boolean operations.
 """
 
 from __future__ import annotations
@@ -23,14 +23,15 @@ Array = npt.NDArray[np.float64]
 
 
 def loft(rings: Sequence[tuple[float, Array]]) -> trimesh.Trimesh:
-    """Join rings to a closed surface.
+    """Join rings into a closed surface.
 
     Parameters
     ----------
     rings
         Heights along z, mm, and outlines in the plane across it, (N, 2) mm, counter-clockwise seen from +z, all with
-        the same N >= 3. The first and the last are closed by a fan about their mean, so they must be star-shaped from
-        there. Heights need not grow: two rings of one height make a step, and a stack that turns back makes a bore.
+        the same N >= 3. The first and the last are closed by a fan about their mean, so they must be star-shaped about
+        it. Heights need not increase: two rings at the same height make a step, and a stack that turns back makes a
+        bore.
 
     Raises
     ------
@@ -74,7 +75,8 @@ def loft(rings: Sequence[tuple[float, Array]]) -> trimesh.Trimesh:
 
 
 def polar(radius_mm: float | Callable[[Array], Array], points: int) -> Array:
-    """Outline by its radius, a number or a function of the angle in radians; the first point lies on +x."""
+    """Outline in polar form: the radius is a number or a function of the angle in radians. The first point lies on +x.
+    """
     angle = 2.0 * np.pi * np.arange(points) / points
     radius = radius_mm(angle) if callable(radius_mm) else np.full(points, float(radius_mm))
     return np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
@@ -97,7 +99,7 @@ def regular(corners: int, across_flats_mm: float, points: int) -> Array:
 def rectangle(width_mm: float, height_mm: float, points: int = 4, corner_mm: float = 0.0) -> Array:
     """Outline of a rectangle along x and y, its corners rounded by `corner_mm`; `points` is a multiple of 4.
 
-    A rounded one has its points on the four arcs, a sharp one along its sides.
+    With rounded corners the points lie on the four arcs, with sharp corners along the sides.
     """
     if points % 4 or points < 4:
         raise MeshError(f"{points} points do not share out over 4 corners; valid is a multiple of 4")

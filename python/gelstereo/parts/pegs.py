@@ -1,8 +1,8 @@
 """The five objects that the paper grasps and inserts (Fig. 10): pegs (a) to (d) and a USB plug.
 
-The paper shows them without dimensions; those here are ours, of the size that its pictures suggest. Pegs (a), (b) and
-(d) follow the IROS robotic grasping and manipulation competition, whose pegs are round and prismatic; (c) has an
-irregular cap. All stand on the origin's plane with their axis along z, the end that is inserted towards +z.
+The paper gives no dimensions; those here are estimated from its pictures. Pegs (a), (b) and (d) follow the IROS robotic
+grasping and manipulation competition, whose pegs are round and prismatic. Peg (c) has an irregular cap. All stand on
+the plane z = 0 with their axis along z; the inserted end points towards +z.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def peg_square(side_mm: float = 8.0, length_mm: float = 40.0) -> trimesh.Trimesh
 
 
 def peg_irregular(diameter_mm: float = 8.0, length_mm: float = 40.0, cap_mm: float = 20.0) -> trimesh.Trimesh:
-    """Peg (c): a round shaft under a cap of `cap_mm`, which is what is grasped; no turn brings it back onto itself."""
+    """Peg (c): a round shaft under a cap of `cap_mm`, which is grasped. It has no rotational symmetry."""
 
     def cap(share: float) -> Array:
         def radius(angle: Array) -> Array:
@@ -75,7 +75,7 @@ def usb_plug(body_mm: tuple[float, float, float] = (15.0, 7.5, 22.0)) -> trimesh
     shell = rectangle(*shell_mm, points, corner_mm=0.4)
     mouth = rectangle(shell_mm[0] - 2 * wall_mm, shell_mm[1] - 2 * wall_mm, points, corner_mm=0.2)
     tip = length_mm + depth_mm
-    # The last three rings lead into the shell; the contacts' carrier fills it from 9 mm on.
+    # The last three rings lead into the shell; the carrier of the contacts fills it from 9 mm on.
     return loft(
         [
             (0.0, narrow),
