@@ -11,24 +11,24 @@ from gelstereo._native import Plan, Scene, Simulator
 
 
 def simulate(scene: Scene | str | Path | Mapping[str, Any]) -> Simulator:
-    """Make a scene ready to run; what of its frames is read is computed, and nothing else.
+    """Create a simulator of a scene. Frames are computed lazily: only the results that are read.
 
     Parameters
     ----------
     scene
-        A `Scene`; a path to a TOML file (a ``Path``, or a ``str`` that ends in ``.toml``); TOML text; or a mapping
-        of settings that replace those of the default scene, nested or with dotted names.
+        A `Scene`; a path to a TOML file (a ``Path``, or a ``str`` that ends in ``.toml``); TOML text; or a mapping of
+        settings, nested or with dotted names, that replace those of the default scene.
 
     Returns
     -------
     Simulator
-        A sequence of `SimulatedFrame`: both images and the truth behind them. Markers in space are worked out with the
-        frame, what the cameras see of them when any of it is read, and images when one of the two is.
+        A sequence of `SimulatedFrame`: both images and their ground truth. Markers in space are computed with the
+        frame, the camera views when one of their values is read, and the images when one of them is read.
 
     Raises
     ------
     SceneError
-        If the scene makes no sense; unknown names are refused with the valid ones.
+        If the scene is not valid; for an unknown name, the message lists the valid ones.
     OSError
         If the file cannot be read.
     """
@@ -42,7 +42,7 @@ def simulate(scene: Scene | str | Path | Mapping[str, Any]) -> Simulator:
 
 
 def plan_record(plan: Plan) -> dict[str, Any]:
-    """A plan as JSON can hold it: sums and a dictionary per effect; a bound that nobody knows is ``None``."""
+    """A plan in JSON-compatible form: sums, and a dictionary per effect; an unknown bound is ``None``."""
 
     def known(value: float) -> float | None:
         return value if math.isfinite(value) else None

@@ -1,4 +1,4 @@
-"""What is known of a marker."""
+"""States of markers."""
 
 from enum import IntEnum
 
@@ -15,13 +15,13 @@ class MarkerState(IntEnum):
     SEEN = 0
     """Measured in this frame."""
     HELD = 1
-    """Not measured; its position is carried over, or filled in from its neighbours if it was never printed."""
+    """Not measured; its position is the previous one, or interpolated from its neighbours if it was never printed."""
     LOST = 2
-    """Not measured for longer than ``track.max_held_frames``; its position is the last one known."""
+    """Not measured for longer than ``track.max_held_frames``; its position is the last known one."""
 
 
 class Sight(IntEnum):
-    """What there is to see of a simulated marker in one image; where several hold, the last in this list.
+    """Visibility of a simulated marker in one image; if several apply, the last in this list.
 
     Examples
     --------
@@ -30,14 +30,14 @@ class Sight(IntEnum):
     """
 
     WHOLE = 0
-    """All of it."""
+    """Fully visible."""
     CUT = 1
-    """The image's border cuts it."""
+    """Cut by the image border."""
     MERGED = 2
-    """Ink joins it to another one."""
+    """Joined to another marker by ink."""
     COVERED = 3
-    """A smear reaches it."""
+    """Touched by a smear."""
     OUTSIDE = 4
-    """It lies outside the image, or behind the camera."""
+    """Outside the image, or behind the camera."""
     NOT_PRINTED = 5
-    """It was not printed."""
+    """Not printed."""

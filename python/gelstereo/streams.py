@@ -1,4 +1,4 @@
-"""Frames for ``gelstereo-host sense --stream -``: any camera that Python reads feeds the host through a pipe.
+"""Frames for ``gelstereo-host sense --stream -``, to feed the host through a pipe from any camera readable in Python.
 
 The format is that of ``docs/frame-stream.md``; a frame is a header of 44 bytes and its pixels.
 """
@@ -46,14 +46,13 @@ def header(
 
     Args:
         payload: The pixels, or one JPEG file with both views.
-        sequence: Number of the frame; it grows by 1, and a gap is counted as lost frames.
-        captured_ns: Moment of exposure, ``time.monotonic_ns()`` of the host's computer; ``None`` if unknown.
-        size_px: Width and height of the frame, both views together.
-        jpeg: Whether the payload is a JPEG file instead of grey bytes.
-        layout: Where both views stand in the frame.
+        sequence: Number of the frame; it increases by 1, and gaps count as lost frames. captured_ns: Time of exposure,
+        ``time.monotonic_ns()`` of the host's computer; ``None`` if unknown. size_px: Width and height of the frame,
+        both views together. jpeg: Whether the payload is a JPEG file instead of grey bytes. layout: Arrangement of both
+        views in the frame.
 
     Raises:
-        ValueError: The host would refuse the frame.
+        ValueError: The host would reject the frame.
     """
     width_px, height_px = size_px
     if not (0 < width_px <= _MAX_SIDE_PX and 0 < height_px <= _MAX_SIDE_PX) or width_px % 2:
@@ -103,7 +102,7 @@ class FrameWriter:
     """
 
     def __init__(self, pipe: BinaryIO) -> None:
-        """Writes to ``pipe``, for one ``sys.stdout.buffer`` or the ``stdin`` of a process."""
+        """Writes to ``pipe``, for example ``sys.stdout.buffer`` or the ``stdin`` of a process."""
         self._pipe = pipe
         self._sequence = 0
 
@@ -116,7 +115,7 @@ class FrameWriter:
         right: npt.NDArray[np.uint8],
         captured_ns: int | None = None,
     ) -> None:
-        """Writes two grey images of one size, ``(rows, columns)``.
+        """Writes two grey images of equal size, ``(rows, columns)``.
 
         Args:
             left: The left view.
@@ -124,7 +123,7 @@ class FrameWriter:
             captured_ns: Moment of exposure by ``time.monotonic_ns()``; by default now.
 
         Raises:
-            ValueError: The images are no grey images of one size.
+            ValueError: The images are not grey images of equal size.
         """
         for name, view in (("left", left), ("right", right)):
             if view.dtype != np.uint8 or view.ndim != 2:
@@ -146,11 +145,11 @@ class FrameWriter:
 
         Args:
             frame: Both views.
-            layout: Where they stand.
-            captured_ns: Moment of exposure by ``time.monotonic_ns()``; by default now.
+            layout: Arrangement of the views. captured_ns: Moment of exposure by ``time.monotonic_ns()``; by default
+            now.
 
         Raises:
-            ValueError: The frame is no grey image, or has an odd width.
+            ValueError: The frame is not a grey image, or has an odd width.
         """
         if frame.dtype != np.uint8 or frame.ndim != 2:
             raise ValueError(
@@ -172,11 +171,11 @@ class FrameWriter:
         Args:
             jpeg: The file's bytes.
             size_px: Its width and height.
-            layout: Where the views stand.
-            captured_ns: Moment of exposure by ``time.monotonic_ns()``; by default now.
+            layout: Arrangement of the views. captured_ns: Moment of exposure by ``time.monotonic_ns()``; by default
+            now.
 
         Raises:
-            ValueError: The size cannot be.
+            ValueError: The size is not valid.
         """
         self._send(jpeg, size_px, True, layout, captured_ns)
 
@@ -192,7 +191,7 @@ class FrameWriter:
             jpeg=jpeg,
             layout=layout,
         )
-        # One write: a reader that shares the pipe never sees half a frame of ours.
+        # A single write, so that frames of several writers to one pipe do not interleave.
         self._pipe.write(head + payload)
         self._pipe.flush()
         self._sequence += 1

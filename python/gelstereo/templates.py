@@ -1,7 +1,7 @@
 """Meshes of parts, read with trimesh, in millimetres.
 
-Mesh files do not say what their unit is, so whoever reads one has to; what cannot be the size of a part that a hand
-holds is refused with a guess.
+Most mesh files do not state their unit, so the caller must. A size that is impossible for a hand-held part is rejected,
+with a guess of the right unit.
 """
 
 from __future__ import annotations
@@ -19,27 +19,27 @@ if TYPE_CHECKING:
     import trimesh
 
 Units = Literal["mm", "cm", "m", "inch"]
-#: What is read of a file.
+#: Input of `load_part`.
 _Loaded: TypeAlias = "trimesh.Trimesh | trimesh.PointCloud"
 
 MM_PER_UNIT: dict[str, float] = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}
 
-#: Largest extent of a part that a gripper can hold and a fingertip sensor can make sense of.
+#: Largest extent of a part that a gripper can hold and a fingertip sensor can localize.
 MIN_PART_MM, MAX_PART_MM = 1.0, 1000.0
 
 
-#: With fewer points there is no surface to speak of; and so many in a cell show how dense they are.
+#: Minimum number of points of a surface; also the number of points per cell from which density is estimated.
 _LEAST_POINTS = 6
 
-#: What can be read.
+#: File formats that can be read.
 _WHOLE = "a whole STL, OBJ, PLY, GLB or STEP file"
 
-#: Files that say what their unit is.
+#: File formats that state their unit.
 _STEP = {".step", ".stp"}
 
 
 class MeshWarning(UserWarning):
-    """A mesh has holes, or faces that were inside out and have been turned."""
+    """A mesh has holes, or inverted faces that were turned."""
 
 
 def load_mesh(
@@ -53,8 +53,7 @@ def load_mesh(
         A file that trimesh reads (STL, OBJ, PLY, GLB, ..., or STEP with the extra ``gelstereo[step]``; the parts of a
         scene are joined), or a ``trimesh.Trimesh``.
     units
-        What one unit of the file is: ``"mm"``, ``"cm"``, ``"m"`` or ``"inch"``; ``None`` for a STEP file, which says it
-        itself.
+        Unit of the file: ``"mm"``, ``"cm"``, ``"m"`` or ``"inch"``; ``None`` for a STEP file, which states it.
 
     Returns
     -------
@@ -66,14 +65,14 @@ def load_mesh(
     Raises
     ------
     MeshError
-        If the units are unknown, the file is no triangle mesh, or its size is not that of a hand-held part.
+        If the units are unknown, the file is not a triangle mesh, or its size is not that of a hand-held part.
     FileNotFoundError
         If there is no such file.
 
     Warns
     -----
     MeshWarning
-        If faces had to be turned, or the surface has holes; distances to it are exact all the same.
+        If faces had to be turned, or the surface has holes. Distances to it are exact nevertheless.
     """
     valid_units = _checked_units(mesh, units)
     return _surface(_opened(mesh), valid_units, _name(mesh, "the mesh"))
@@ -118,7 +117,7 @@ def _surface(
 def load_part(
     part: str | Path | trimesh.Trimesh | trimesh.PointCloud, units: Units | None, spacing_mm: float
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int64] | npt.NDArray[np.float64], float | None]:
-    """What a template is made of: a mesh, or a scan's points if there are no triangles.
+    """Load the data of a template: a mesh, or a scan's points if there are no triangles.
 
     Parameters
     ----------
@@ -126,15 +125,15 @@ def load_part(
         As in `load_mesh`; or a PLY file, or ``trimesh.PointCloud`` read from one, of points with outward normals
         (``nx``, ``ny``, ``nz``).
     spacing_mm
-        Points of a scan are thinned to this distance of neighbours.
+        Distance between neighbours to which a scan's points are thinned.
 
     Returns
     -------
     vertices_mm, triangles, None
-        Of a mesh, as `load_mesh` gives them.
+        For a mesh, as returned by `load_mesh`.
     points_mm, normals, spacing_mm
-        Of a scan: (N, 3) points and normals, and the typical distance of neighbours, more than was asked for if
-        the scan is sparse.
+        For a scan: (N, 3) points and normals, and the typical distance of neighbours, larger than requested if the scan
+        is sparse.
 
     Raises
     ------
@@ -156,7 +155,7 @@ def load_part(
 
 
 def _scan(part: str | Path | _Loaded, loaded: _Loaded) -> trimesh.PointCloud | None:
-    """The points of a part without triangles; read as a mesh, a file of points is empty."""
+    """The points of a part without triangles. Read as a mesh, a file of points is empty."""
     import trimesh
 
     if len(getattr(loaded, "faces", ())):
@@ -187,9 +186,9 @@ def _points_and_normals(
 def _thinned(
     points_mm: npt.NDArray[np.float64], normals: npt.NDArray[np.float64], spacing_mm: float
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], float]:
-    """Points about as far apart as asked for, and how far they are.
+    """Points thinned to about the requested distance, and their actual distance.
 
-    A surface crosses 3/2 cells of a grid per cell's face area, on average over its directions (Crofton).
+    On average over its directions, a surface crosses 3/2 grid cells per area of a cell's face (Crofton).
     """
     if not (np.isfinite(spacing_mm) and spacing_mm > 0.0):
         return points_mm, normals, spacing_mm
@@ -204,7 +203,7 @@ def _thinned(
 
 
 def _first_of_cells(points_mm: npt.NDArray[np.float64], cell_mm: float) -> npt.NDArray[np.int64]:
-    """Of every cell with points the first one, in the order of the points."""
+    """The first point of every occupied cell, in the order of the points."""
     cells = np.floor((points_mm - points_mm.min(axis=0)) / cell_mm).astype(np.int64)
     return np.sort(np.unique(cells, axis=0, return_index=True)[1])
 
@@ -212,7 +211,7 @@ def _first_of_cells(points_mm: npt.NDArray[np.float64], cell_mm: float) -> npt.N
 def _facing_outward(
     vertices_mm: npt.NDArray[np.float64], triangles: npt.NDArray[np.int64], name: str
 ) -> npt.NDArray[np.int64]:
-    """Turn triangles that are inside out, and tell of that and of holes."""
+    """Turn inverted triangles; warn about these and about holes."""
     turned, stray, inside_out, surface = turned_outward(vertices_mm, triangles)
     told = []
     if inside_out:
@@ -240,18 +239,18 @@ def _check_finite(points: npt.NDArray[np.float64], name: str) -> None:
 
 
 def check_size(extents: npt.NDArray[np.float64], units: Units) -> None:
-    """Refuse extents, in the stated units, that no hand-held part has.
+    """Reject extents, in the stated units, that are impossible for a hand-held part.
 
     Raises
     ------
     MeshError
-        With the extents, and the units that would make sense of them.
+        With the extents, and units that would be plausible.
     """
     size = float(np.max(extents)) if np.all(np.isfinite(extents)) else float("nan")
     if MIN_PART_MM <= size * MM_PER_UNIT[units] <= MAX_PART_MM:
         return
     guesses = [name for name, mm in MM_PER_UNIT.items() if MIN_PART_MM <= size * mm <= MAX_PART_MM]
-    # A part's designer writes millimetres or metres far more often than the others.
+    # Millimetres and metres are by far the most common units.
     guesses.sort(key=["mm", "m", "inch", "cm"].index)
     text = " x ".join(f"{side:.4g}" for side in extents)
     hint = (
@@ -273,10 +272,10 @@ def _read(path: Path) -> _Loaded:
     try:
         return trimesh.load(path, force="mesh", process=False)
     except FileNotFoundError as error:
-        # The file is there; what is missing is what a STEP file should have been converted to.
+        # The file exists; the missing file is the intermediate one from the conversion of a STEP file.
         raise MeshError(f"{path} cannot be read as a triangle mesh: it is no whole STEP file") from error
     except ImportError as error:
-        # trimesh asks for other packages when it meets a format that it cannot read alone, or text that is none.
+        # trimesh requests other packages for formats that it cannot read itself, and for invalid text.
         extra = "; pip install 'gelstereo[step]'" if path.suffix.lower() in _STEP else ""
         raise MeshError(
             f"{path} cannot be read as a triangle mesh without another package ({error}); valid is {_WHOLE}{extra}"

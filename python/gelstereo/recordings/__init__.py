@@ -1,8 +1,8 @@
 """Recordings of real stereo-marker sensors, as clouds with a rest frame.
 
 `load_pytac3d` reads the arrays that PyTac3D writes (the sensors of Zhang et al., "Tac3D", a mirror stereo camera over
-a domed gel); `pytac3d_example` finds those that come with its wheel. `contacts` finds who touches where,
-`fit_radius` the radius of a part, `undo_smoothing` sharpens what the recorder smoothed over time.
+a domed gel); `pytac3d_example` finds those that come with its wheel. `contacts` finds the contacts of a frame,
+`fit_radius` the radius of a part, and `undo_smoothing` reverses the recorder's smoothing over time.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A recording of clouds, whatever the sensor it came from."""
+"""A recording of point clouds, independent of the sensor."""
 
 from __future__ import annotations
 
@@ -16,29 +16,29 @@ Integers = npt.NDArray[np.int64]
 
 
 class RecordingError(Error):
-    """Files are no recording, or one that contradicts itself."""
+    """Files are not a recording, or are inconsistent."""
 
 
 @dataclass(frozen=True)
 class CloudRecording:
     """Clouds of one lattice over time, in the sensor frame: z points away from the camera."""
 
-    #: Where it came from.
+    #: Source of the recording.
     name: str
     rows: int
     cols: int
-    #: Markers (frames, rows * cols, 3); marker ``row * cols + col`` stands at that index.
+    #: Markers (frames, rows * cols, 3); marker ``row * cols + col`` has that index.
     points_mm: Array
     #: Markers (rows * cols, 3) when nothing touches the gel.
     rest_mm: Array
     #: Times (frames,), seconds, not decreasing.
     time_s: Array
-    #: Numbers (frames,) that the recorder gave its frames, increasing; where one is missing a frame was lost. `None`:
-    #: none was.
+    #: Frame numbers (frames,) of the recorder, increasing; a missing number is a lost frame. `None` if no frame was
+    #: lost.
     sequence: Integers | None = None
 
     def __post_init__(self) -> None:
-        """Check that the arrays belong together."""
+        """Check that the arrays are consistent."""
         markers = self.rows * self.cols
         if self.points_mm.ndim != 3 or self.points_mm.shape[1:] != (markers, 3):
             raise RecordingError(
@@ -76,7 +76,7 @@ class CloudRecording:
 
     @property
     def lost_before(self) -> npt.NDArray[np.bool_]:
-        """Tell of every frame (frames,) whether the recorder lost one or more just before it."""
+        """Whether the recorder lost one or more frames just before each frame (frames,)."""
         lost = np.zeros(len(self), bool)
         if self.sequence is not None:
             lost[1:] = np.diff(self.sequence) > 1

@@ -1,4 +1,4 @@
-"""Who touches where: salient markers, split into contacts, each with its core."""
+"""Contacts: salient markers, split into separate contacts, each with its core."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ __all__ = ["Contact", "contacts", "episodes"]
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
 
-#: Two peaks are one contact unless the saddle between them sinks below this share of the lower peak.
+#: Two peaks form one contact unless the saddle between them is below this fraction of the lower peak.
 _SADDLE_SHARE = 0.8
-#: At the edge of a Hertzian contact the surface has sunk half as deep as in its middle: deeper markers touch.
+#: At the edge of a Hertzian contact the indentation is half of that in its middle, so deeper markers touch.
 _CORE_SHARE = 0.5
 
 
@@ -22,9 +22,9 @@ _CORE_SHARE = 0.5
 class Contact:
     """One contact in one frame, by indices of markers."""
 
-    #: All its salient markers, the gel's shoulder around it included.
+    #: All its salient markers, including the gel's shoulder around it.
     salient: Indices
-    #: The markers that touch: at least half as deep as the deepest.
+    #: The markers in contact: at least half as deep as the deepest.
     core: Indices
     #: Depth of the deepest marker.
     depth_mm: float
@@ -33,14 +33,13 @@ class Contact:
 def contacts(indentation_mm: Array, rows: int, cols: int, threshold_mm: float) -> list[Contact]:
     """Split the salient markers of one frame into contacts, the deepest first.
 
-    Markers are taken from the deepest to the shallowest. Each joins the contacts of its eight neighbours that are
-    already there, and two contacts that meet stay apart when the saddle between them is deep enough: a watershed with
-    a least prominence.
+    A watershed with a minimum prominence. Markers are processed from the deepest to the shallowest, and each joins the
+    contacts among its eight neighbours. Two contacts that meet stay separate if the saddle between them is deep enough.
 
     Parameters
     ----------
     indentation_mm
-        Of every marker (rows * cols,).
+        Indentation of every marker (rows * cols,).
     threshold_mm
         Indentation from which a marker is salient.
     """

@@ -1,4 +1,4 @@
-"""Spheres, cylinders and planes through points: radii of parts whose dimensions nobody wrote down."""
+"""Least-squares spheres, cylinders and planes through points, for parts of unknown dimensions."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class SphereFit:
 class CylinderFit:
     """A least-squares cylinder."""
 
-    #: A point of the axis, and its direction.
+    #: A point on the axis, and its direction.
     centre_mm: Array
     axis: Array
     radius_mm: float
@@ -85,7 +85,7 @@ def fit_cylinder(points_mm: Array) -> CylinderFit:
     axis = np.linalg.svd(p, full_matrices=False)[2][0]
     side, up = _across(axis)
     across, height = p @ side, p @ up
-    # In the plane across the axis the cylinder is a circle.
+    # In the plane perpendicular to the axis, the cylinder is a circle.
     start = np.linalg.lstsq(
         np.column_stack([2.0 * across, 2.0 * height, np.ones(len(p))]), across**2 + height**2, rcond=None
     )[0]
@@ -97,7 +97,7 @@ def fit_cylinder(points_mm: Array) -> CylinderFit:
         radial = offset - along[:, None] * axis
         distance = np.linalg.norm(radial, axis=1)
         normal = radial / distance[:, None]
-        # Turning the axis by a about `side` or b about `up` moves a point at `along` against its normal.
+        # Rotating the axis by a about `side` or b about `up` moves a point at `along` against its normal.
         jacobian = np.column_stack(
             [-normal @ side, -normal @ up, -along * (normal @ side), -along * (normal @ up), -np.ones(len(p))]
         )
@@ -115,7 +115,7 @@ def fit_cylinder(points_mm: Array) -> CylinderFit:
 
 
 def _across(axis: Array) -> tuple[Array, Array]:
-    """Give two unit vectors across the axis, the first across z as well."""
+    """Two unit vectors perpendicular to the axis; the first one is also perpendicular to z."""
     side = np.cross(axis, [0.0, 0.0, 1.0])
     side /= np.linalg.norm(side)
     return side, np.cross(axis, side)

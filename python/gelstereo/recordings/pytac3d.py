@@ -22,13 +22,13 @@ def load_pytac3d(folder: str | Path) -> CloudRecording:
     and, if it is there, ``index.npy``.
 
     The sensor frame of PyTac3D has z out of the gel, away from its camera, and millimetres, as gelstereo's. The rest
-    frame is positions minus displacements, their median over the frames: the sensor is zeroed again now and then,
-    which moves its own idea of rest by some hundredths of a millimetre.
+    frame is the median over the frames of positions minus displacements. The median is needed because the recorder
+    zeroes the sensor occasionally, which moves its rest positions by some hundredths of a millimetre.
 
     Raises
     ------
     RecordingError
-        A file is missing or holds something else.
+        A file is missing or has other contents.
     """
     folder = Path(folder)
     points_mm = _read(folder, "3D_Positions.npy")
@@ -46,7 +46,7 @@ def load_pytac3d(folder: str | Path) -> CloudRecording:
 
 
 def pytac3d_example(example: str, sensor: str) -> Path:
-    """Find a recording that comes with the installed wheel, without importing it.
+    """Find a recording that is included in the installed wheel, without importing it.
 
     Raises
     ------

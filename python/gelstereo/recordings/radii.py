@@ -1,7 +1,7 @@
-"""The radius of one rigid part from the markers that lie on it, in one frame or in many, with its predicted error.
+"""The radius of one rigid part from the markers on it, in one or more frames, with its predicted error.
 
-One part has one radius in all frames and a pose of its own in each. Gauss-Newton runs over the radius, the poses
-eliminated frame by frame (Schur complement), so that one frame is only the shortest sequence.
+The part has one radius in all frames and a separate pose in each. Gauss-Newton runs over the radius, with the poses
+eliminated frame by frame (Schur complement).
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ _SETTLED_MM = 1e-8
 
 @dataclass(frozen=True)
 class RadiusFit:
-    """One radius through all frames."""
+    """One radius fitted to all frames."""
 
     radius_mm: float
-    #: Standard error by the markers' noise alone.
+    #: Standard error from the markers' noise alone.
     sigma_mm: float
     #: Root mean square distance of the markers from the part.
     rms_mm: float
@@ -40,31 +40,32 @@ class RadiusFit:
 def cap_radius_sigma_mm(
     shape: Shape, radius_mm: float, half_width_mm: float, markers: int, sigma_mm: float
 ) -> float:
-    """Standard error of a radius by a shallow cap, in closed form.
+    """Standard error of a radius from a shallow cap, in closed form.
 
-    A cap of half width a is the parabola κ u² / 2, κ = 1 / R, and tilt and height are unknown. Markers that are spread
-    evenly over a disc have var(u² / 2) = a⁴ / 48, over a strip a⁴ / 45; hence the error of κ, and R² times it of R.
+    A cap of half width a is the parabola κ u² / 2 with κ = 1 / R; tilt and height are unknown. Markers spread evenly
+    over a disc have var(u² / 2) = a⁴ / 48, over a strip a⁴ / 45. This gives the error of κ; the error of R is R² times
+    as large.
     """
     spread = 48.0 if shape == "sphere" else 45.0
     return float(radius_mm**2 * sigma_mm / half_width_mm**2 * np.sqrt(spread / markers))
 
 
 def fit_radius(points_mm: Sequence[Array], shape: Shape, noise_mm: npt.ArrayLike) -> RadiusFit:
-    """Fit one radius to the markers of all frames, each frame with a pose of its own.
+    """Fit one radius to the markers of all frames, with a separate pose in each frame.
 
     Parameters
     ----------
     points_mm
-        Markers (N, 3) of every frame, which face the camera.
+        Markers (N, 3) of every frame, on the side that faces the camera.
     shape
         ``"sphere"`` or ``"cylinder"``.
     noise_mm
-        Standard deviation (3,) of a marker along x, y and z; distances along the surface's normal are weighed by it.
+        Standard deviation (3,) of a marker along x, y and z; it weights the distances along the surface's normal.
 
     Raises
     ------
     RecordingError
-        The arguments are none of these, a frame's markers are flat within their noise, or a plane fits them better.
+        The arguments are not valid, a frame's markers are flat within their noise, or a plane fits them better.
     """
     if shape not in ("sphere", "cylinder"):
         raise RecordingError(f"shape is {shape!r}; valid is 'sphere' or 'cylinder'")
@@ -105,10 +106,10 @@ def fit_radius(points_mm: Sequence[Array], shape: Shape, noise_mm: npt.ArrayLike
 
 
 def _plane_squares(points_mm: Array, shape: str, noise_mm: float) -> float:
-    """Sum of squared distances from the best plane, of markers that are more than flat."""
+    """Sum of squared distances from the best-fit plane; markers on a line or a point are an error."""
     points = np.asarray(points_mm, np.float64)
     rms_mm = fit_plane(points).rms_mm
-    # Fewer than three dimensions: the radius could be anything.
+    # Markers span fewer than three dimensions: the radius is undetermined.
     if not rms_mm > noise_mm:
         raise RecordingError(
             f"{len(points)} markers lie {rms_mm:.2g} mm rms about a plane, which is no more than their noise of "
@@ -119,7 +120,7 @@ def _plane_squares(points_mm: Array, shape: str, noise_mm: float) -> float:
 
 @dataclass(frozen=True)
 class _System:
-    """What is left of one frame's normal equations when its pose is eliminated."""
+    """Reduced normal equations of one frame, with its pose eliminated."""
 
     information: float
     gradient: float
@@ -160,7 +161,7 @@ class _Sphere:
 
 
 class _Cylinder:
-    """A cylinder's axis in one frame, moved by its tangent plane across the axis."""
+    """A cylinder's axis in one frame, parametrised by the plane perpendicular to the axis."""
 
     def __init__(self, points_mm: Array, noise: Array) -> None:
         fit = fit_cylinder(points_mm)

@@ -1,7 +1,7 @@
-"""The recorder's smoothing over time: how long its window is, and its removal from a part that moves.
+"""Estimation and removal of the recorder's smoothing over time.
 
-A mean over n frames leaves its mark on the noise at rest, whose successive frames correlate. Under a part that moves it
-smears the gel's relief, so that a ridge reads wider and lower than it is, and its radius too large.
+A mean over n frames correlates the noise of successive frames at rest, which shows the window's length. Under a moving
+part it smears the gel's relief: a ridge appears wider and lower than it is, and its radius too large.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ __all__ = [
 Array = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
 
-#: Longest window that is tried.
+#: Longest window tried.
 _LONGEST = 8
-#: A parabola over time takes out the gel's slow creep.
+#: Degree of the polynomial over time that removes the gel's slow creep.
 _CREEP_DEGREE = 2
 
 
 def detrended_covariance(window: int, frames: int, degree: int = _CREEP_DEGREE) -> Array:
     """Covariance (frames, frames) of white noise after a mean over ``window`` frames and the removal of a polynomial.
 
-    In units of the smoothed noise's variance: without the polynomial the diagonal would be 1.
+    In units of the smoothed noise's variance, so that the diagonal is 1 without the polynomial.
     """
     lag = np.abs(np.subtract.outer(np.arange(frames), np.arange(frames)))
     smoothed = np.clip(1.0 - lag / window, 0.0, None)
@@ -45,15 +45,15 @@ def detrended_covariance(window: int, frames: int, degree: int = _CREEP_DEGREE) 
 
 
 def smoothing_frames(points_mm: Sequence[Array]) -> int:
-    """Estimate over how many frames the recorder took the mean.
+    """Estimate the number of frames over which the recorder averaged.
 
-    The autocorrelation of the noise at rest, its slow creep taken out, is compared with what means over 1 to 8 frames
-    leave, the effect of taking out the creep included.
+    The autocorrelation of the noise at rest, after removal of slow creep, is compared with the prediction for means
+    over 1 to 8 frames. The prediction includes the effect of removing the creep.
 
     Parameters
     ----------
     points_mm
-        Stretches (frames, markers, 3) in which nothing touches, each of 16 frames or more.
+        Stretches (frames, markers, 3) without contact, each of 16 frames or more.
     """
     _check_stretches(points_mm)
     seen = [(len(p), _correlation(_residual_covariance(p))) for p in points_mm]
@@ -68,9 +68,10 @@ def smoothing_frames(points_mm: Sequence[Array]) -> int:
 
 
 def noise_mm(points_mm: Sequence[Array], window: int = 1) -> Array:
-    """Standard deviation (3,) of a marker's noise along x, y and z while nothing touches.
+    """Standard deviation (3,) of a marker's noise along x, y and z without contact.
 
-    Creep is taken out, and what goes with it of noise that is a mean over ``window`` frames is put back.
+    Creep is removed. The result is corrected for the noise that this removes, for noise averaged over ``window``
+    frames.
     """
     _check_stretches(points_mm)
     squares, share = np.zeros(3), 0.0
@@ -84,11 +85,10 @@ def noise_mm(points_mm: Sequence[Array], window: int = 1) -> Array:
 
 
 def undo_smoothing(recording: CloudRecording, window: int) -> CloudRecording:
-    """Take a mean over ``window`` frames back, to second order in time.
+    """Undo a mean over ``window`` frames, to second order in time.
 
-    The mean of x over n frames is x + (n² - 1) / 24 d²x/dt² about the window's middle, and nearly the same second
-    difference is seen in the smoothed frames. At the recording's ends and beside lost frames there is none; see
-    `intact`.
+    The mean of x over n frames is x + (n² - 1) / 24 d²x/dt² about the window's middle. The smoothed frames have nearly
+    the same second difference. It does not exist at the recording's ends and beside lost frames; see `intact`.
     """
     if window < 1:
         raise RecordingError(f"a window of {window} frames; at least 1 is needed")
@@ -101,7 +101,8 @@ def undo_smoothing(recording: CloudRecording, window: int) -> CloudRecording:
 
 
 def noise_gain(window: int) -> float:
-    """Factor by which `undo_smoothing` raises the deviation of noise that is a mean over ``window`` frames."""
+    """Factor by which `undo_smoothing` raises the standard deviation of noise that was averaged over ``window`` frames.
+    """
     share = _share(window)
     smooth = np.full(window, 1.0 / window)
     sharp = np.convolve(smooth, [-share, 1.0 + 2.0 * share, -share])
@@ -109,12 +110,12 @@ def noise_gain(window: int) -> float:
 
 
 def _share(window: int) -> float:
-    """Half the variance of a window's frames: that much of the second difference is in their mean."""
+    """Half the variance of the times in a window: the coefficient of the second difference in their mean."""
     return (window**2 - 1) / 24.0
 
 
 def intact(recording: CloudRecording, window: int) -> Bools:
-    """Frames (frames,) that no lost frame touches: neither the window that ends there nor the second difference."""
+    """Mask (frames,) of frames without a lost frame in their window or in their second difference."""
     whole = np.ones(len(recording), bool)
     for frame in np.flatnonzero(recording.lost_before):
         whole[max(frame - 1, 0) : frame + window - 1] = False

@@ -1,4 +1,4 @@
-"""A stereo frame and what it meant, as one picture; drawn with OpenCV alone, so it works without a display."""
+"""A stereo frame and its results as one picture; drawn with OpenCV alone, so it works without a display."""
 
 from gelstereo.view.moment import Moment
 from gelstereo.view.picture import draw

@@ -11,7 +11,7 @@ import numpy.typing as npt
 Colour = tuple[int, int, int]
 Image = npt.NDArray[np.uint8]
 
-#: Blue, green, red, as OpenCV has them.
+#: Blue, green, red, OpenCV's order.
 PAPER: Colour = (252, 251, 250)
 INK: Colour = (56, 44, 36)
 FAINT: Colour = (160, 150, 142)
@@ -26,7 +26,7 @@ _SHIFT = 4  # fractional bits of OpenCV's drawing coordinates
 
 
 class Canvas:
-    """A picture in the making; sizes and positions are pixels of the finished picture."""
+    """An unfinished picture; sizes and positions are pixels of the finished one."""
 
     def __init__(self, width: int, height: int, paper: Colour = PAPER) -> None:
         import cv2
@@ -43,7 +43,7 @@ class Canvas:
         return out
 
     def image(self, picture: Image, x: int, y: int, width: int, height: int) -> None:
-        """A picture in a rectangle."""
+        """Draw an image into a rectangle."""
         size = (width * _SUPERSAMPLING, height * _SUPERSAMPLING)
         scaled = self._cv2.resize(picture, size, interpolation=self._cv2.INTER_CUBIC)
         if scaled.ndim == 2:
@@ -52,9 +52,9 @@ class Canvas:
         self._pixels[top : top + size[1], left : left + size[0]] = scaled
 
     def circle(self, centre: Iterable[float], radius: float, colour: Colour, width: float = 0.0) -> None:
-        """A disc, or a ring of that line width."""
+        """Draw a disc, or a ring of the given line width."""
         thickness = max(1, round(width * _SUPERSAMPLING)) if width > 0 else -1
-        # OpenCV fills the pixels on the circle as well, half a pixel too far.
+        # OpenCV also fills the pixels on the circle, half a pixel too far out.
         outline = radius * _SUPERSAMPLING - (0.0 if width > 0 else 0.5)
         self._cv2.circle(
             self._pixels,
@@ -67,14 +67,14 @@ class Canvas:
         )
 
     def line(self, start: Iterable[float], end: Iterable[float], colour: Colour, width: float = 1.0) -> None:
-        """A straight line."""
+        """Draw a straight line."""
         thickness = max(1, round(width * _SUPERSAMPLING))
         self._cv2.line(
             self._pixels, self._fixed(start), self._fixed(end), colour, thickness, self._cv2.LINE_AA, _SHIFT
         )
 
     def arrow(self, start: npt.NDArray[np.float64], end: npt.NDArray[np.float64], colour: Colour) -> None:
-        """A line with a small head; too short a one has no direction and is left out."""
+        """Draw a line with a small head; an arrow too short to show a direction is left out."""
         along = end - start
         length = float(np.hypot(*along))
         if length < 1.5:
@@ -85,14 +85,14 @@ class Canvas:
         self.polygon(np.stack([end, end - head + side, end - head - side]), colour)
 
     def polygon(self, corners: npt.NDArray[np.float64], colour: Colour) -> None:
-        """A filled convex polygon."""
+        """Draw a filled convex polygon."""
         fixed = np.round(corners * (_SUPERSAMPLING << _SHIFT)).astype(np.int32)
         self._cv2.fillConvexPoly(self._pixels, fixed, colour, self._cv2.LINE_AA, _SHIFT)
 
     def text(
         self, text: str, x: float, y: float, size: float = 14.0, colour: Colour = INK, bold: bool = False
     ) -> None:
-        """Text whose baseline starts at (x, y); `size` is the height of a capital times 1.5."""
+        """Draw text whose baseline starts at (x, y); `size` is 1.5 times the height of a capital."""
         font = self._cv2.FONT_HERSHEY_DUPLEX if bold else self._cv2.FONT_HERSHEY_SIMPLEX
         origin = (round(x * _SUPERSAMPLING), round(y * _SUPERSAMPLING))
         scale = size * _SUPERSAMPLING / 31.0
@@ -101,12 +101,12 @@ class Canvas:
         )
 
     def blend(self, other: Canvas, opacity: float, background: Colour) -> None:
-        """Lays what was drawn on `other` (everything that is not its background) over this canvas."""
+        """Copy everything drawn on `other` (all pixels that differ from its background) onto this canvas."""
         drawn = np.any(other._pixels != np.array(background, dtype=np.uint8), axis=2)
         mixed = self._cv2.addWeighted(other._pixels, opacity, self._pixels, 1.0 - opacity, 0.0)
         self._pixels[drawn] = mixed[drawn]
 
     def _fixed(self, point: Iterable[float]) -> tuple[int, int]:
-        # OpenCV puts the centre of a pixel at whole numbers.
+        # OpenCV's pixel centres have integer coordinates.
         x, y = (round(((v + 0.5) * _SUPERSAMPLING - 0.5) * (1 << _SHIFT)) for v in point)
         return x, y

@@ -1,4 +1,4 @@
-"""The edges of a part that a camera at the origin of the sensor frame sees."""
+"""Visible edges of a part, for a camera at the origin of the sensor frame."""
 
 from __future__ import annotations
 
@@ -9,18 +9,19 @@ from gelstereo.view.moment import Part
 
 Floats = npt.NDArray[np.float64]
 
-#: Faces that meet at a larger angle have an edge between them. Cylinders are flattened to fewer degrees a face.
+#: Minimum angle between faces for a feature edge. Facets of a cylinder meet at smaller angles.
 _CREASE_COS = float(np.cos(np.radians(30.0)))
-#: Edges are cut into pieces of this length, so that a lens may bend them and an image's border may cut them.
+#: Edges are split into segments of this length, so that lens distortion can bend them and the image border can cut
+#: them.
 _PIECE_MM = 0.5
-#: Closer to the camera's centre there is glass.
+#: Minimum distance from the camera's centre; nearer points are inside the sensor.
 _NEAR_MM = 1.0
 
 
 def feature_edges_mm(part: Part) -> Floats:
-    """Pieces of outline and creases, (E, 2, 3), sensor frame. Those of faces that look away are left out.
+    """Segments of outline and creases, (E, 2, 3), sensor frame; those between faces that face away are left out.
 
-    Faces do not hide each other: the picture shows where a part is, not what it looks like.
+    Faces do not occlude each other: the picture shows where a part is, not its appearance.
     """
     corners = part.vertices_mm[part.triangles]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -39,14 +40,14 @@ def feature_edges_mm(part: Part) -> Floats:
 def _edges_with_faces(
     vertices_mm: Floats, triangles: npt.NDArray[np.int64]
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Vertices of each edge, and its one or two faces (-1 for none). Vertices at one place are one."""
+    """Vertices of each edge, and its one or two faces (-1 for none). Coincident vertices are merged."""
     _, first, same = np.unique(np.round(vertices_mm, 6), axis=0, return_index=True, return_inverse=True)
     welded = first[same.reshape(-1)][triangles]
     edges = np.sort(welded[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     face = np.repeat(np.arange(len(triangles)), 3)
     unique, number = np.unique(edges, axis=0, return_inverse=True)
     faces = np.full((len(unique), 2), -1, dtype=np.int64)
-    # Of more than two faces at an edge the first and the last are kept.
+    # If more than two faces share an edge, the first and the last are kept.
     number = number.reshape(-1)
     faces[number[::-1], 0] = face[::-1]
     last = np.full(len(unique), -1, dtype=np.int64)

@@ -1,4 +1,4 @@
-"""Pages of one file: escaped HTML with its pictures inside, for reading without a network."""
+"""Self-contained pages: escaped HTML with embedded pictures, readable offline."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _MEDIA = {"png": "image/png", "jpeg": "image/jpeg", "svg": "image/svg+xml"}
 
 @dataclass(frozen=True)
 class Heading:
-    """A headline; level 2 is a section's, 3 that of a part of it."""
+    """A heading; level 2 for a section, 3 for a subsection."""
 
     text: str
     level: Literal[2, 3] = 2
@@ -57,11 +57,11 @@ class Grid:
     Attributes
     ----------
     caption
-        What it shows, with units.
+        Description of the table, with units.
     head, rows
-        Cells as text, every row as long as the head.
+        Cells as text; every row has as many as the head.
     words
-        Whether the cells are words rather than figures, and stand to the left.
+        Whether the cells are words rather than figures, and aligned to the left.
     """
 
     caption: str
@@ -72,18 +72,18 @@ class Grid:
 
 @dataclass(frozen=True)
 class Figure:
-    """A picture: a file's bytes, what kind of file, and what is seen on it."""
+    """A picture: the file's bytes, its type, and a description."""
 
     caption: str
     content: bytes
     kind: Literal["png", "jpeg", "svg"]
-    #: Pixels across; the picture's own width if left out.
+    #: Width in pixels. Default: the picture's own width.
     width_px: int | None = None
 
 
 @dataclass(frozen=True)
 class Beside:
-    """A picture in a file beside the page, and what is seen on it."""
+    """A picture in a file beside the page, and its description."""
 
     caption: str
     file: str
@@ -91,7 +91,7 @@ class Beside:
 
 @dataclass(frozen=True)
 class Details:
-    """A text to look up, folded away."""
+    """A collapsed text for reference."""
 
     title: str
     text: str
@@ -106,14 +106,14 @@ def document(title: str, blocks: Sequence[Block]) -> str:
     Parameters
     ----------
     title
-        Its name and first headline.
+        Title and first heading.
     blocks
-        Its contents from top to bottom. All text is escaped.
+        Contents from top to bottom. All text is escaped.
 
     Returns
     -------
     str
-        HTML that refers to nothing outside itself but `Beside`.
+        HTML without external references except `Beside`.
     """
     name = html.escape(title)
     body = "\n".join(_block(block) for block in blocks)
@@ -151,7 +151,7 @@ def _grid(grid: Grid) -> str:
 
 
 def _figure(figure: Figure) -> str:
-    # As an image, not as elements: the names in one drawing cannot meet those in another.
+    # As an image, not inline, so that identifiers of several drawings cannot collide.
     data = base64.b64encode(figure.content).decode("ascii")
     width = f' width="{figure.width_px}"' if figure.width_px else ""
     return _picture(f"data:{_MEDIA[figure.kind]};base64,{data}", width, html.escape(figure.caption))

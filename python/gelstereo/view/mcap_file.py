@@ -1,4 +1,4 @@
-"""Reading a recording (MCAP) as far as it goes: one that was cut off or damaged is read up to there.
+"""Reading of recordings (MCAP); a truncated or damaged file is read up to the damage.
 
 Reading needs the extra ``recording``: ``pip install gelstereo[recording]``.
 """
@@ -19,7 +19,7 @@ _MAGIC = b"\x89MCAP0\r\n"
 
 @dataclass(frozen=True)
 class Recorded:
-    """A message as it stands in the file."""
+    """A message as stored in the file."""
 
     topic: str
     log_ns: int
@@ -28,7 +28,7 @@ class Recorded:
 
 @dataclass
 class Header:
-    """What stands before the messages."""
+    """Data before the messages."""
 
     config: dict[str, Any] = field(default_factory=dict)
     attachments: dict[str, bytes] = field(default_factory=dict)
@@ -40,11 +40,11 @@ def read_messages(path: Path) -> Iterator[Recorded]:
     Raises
     ------
     RecordingError
-        If it is no recording, or a package is missing.
+        If the file is not a recording, or a package is missing.
     FileNotFoundError
         If there is no such file.
     Exception
-        Of the reader, where the file was cut off or damaged: see `end_at_damage`.
+        From the reader, if the file is truncated or damaged; see `end_at_damage`.
     """
     try:
         import lz4  # noqa: F401 (mcap imports it when it meets the first chunk)
@@ -62,15 +62,15 @@ def read_messages(path: Path) -> Iterator[Recorded]:
 
 
 def end_at_damage(path: Path, error: Exception, any_frame: bool) -> None:
-    """What comes of a file whose messages cannot be read, or not decoded, beyond some place.
+    """Handle an error in reading or decoding a file's messages.
 
-    What came before that place is good, and is all that there is. The errors of the reader and of what unpacks its
-    chunks share no base.
+    Messages before the damage are valid and are used. The reader and its decompressors have no common base class of
+    errors.
 
     Raises
     ------
     Error, OSError
-        `error` itself if it is one of ours or of the system; `RecordingError` if no frame came before it.
+        `error` itself if it is a gelstereo or system error; `RecordingError` if no frame was read before it.
     """
     if isinstance(error, (Error, OSError)):
         raise error
@@ -80,7 +80,7 @@ def end_at_damage(path: Path, error: Exception, any_frame: bool) -> None:
 
 
 def read_header(path: Path) -> Header:
-    """Configuration and attachments, as far as they can be read."""
+    """Configuration and attachments, as far as readable."""
     from mcap.records import Attachment, Metadata
     from mcap.stream_reader import StreamReader
 
@@ -92,6 +92,6 @@ def read_header(path: Path) -> Header:
                     header.config = parse_toml(record.metadata["config_toml"])
                 elif isinstance(record, Attachment):
                     header.attachments[record.name] = record.data
-        except Exception:  # of whatever kind, as in `end_at_damage`
-            return header  # cut off or damaged; the header comes first
+        except Exception:  # of any type, as in `end_at_damage`
+            return header  # truncated or damaged; the header comes first
     return header

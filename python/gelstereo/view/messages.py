@@ -17,7 +17,7 @@ _MM_PER_METRE = 1000.0
 
 
 class RecordingError(Error):
-    """A file is no recording of a sensor, or lacks what a picture needs."""
+    """A file is not a recording of a sensor, or lacks data for a picture."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ def compressed_image_of(data: bytes) -> npt.NDArray[np.uint8]:
 
 
 def left_half(joint: npt.NDArray[np.uint8], layout: str) -> npt.NDArray[np.uint8]:
-    """The left view of an image of both; ``layout`` is the camera's."""
+    """The left view of an image of both views; ``layout`` is the camera's."""
     width = joint.shape[1] // 2
     views = {
         "side_by_side": joint[:, :width],
@@ -127,7 +127,7 @@ class LeftImage:
     data
         The message.
     layout
-        Where the left view stands in an image of both.
+        Arrangement of the views in an image of both.
     """
 
     topic: str

@@ -1,4 +1,4 @@
-"""What the picture of one moment needs to know."""
+"""Data for the picture of one moment."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Part:
     def located(
         cls, vertices_mm: npt.ArrayLike, triangles: npt.ArrayLike, t_sensor_object: npt.ArrayLike
     ) -> Part:
-        """A part of the object frame at its pose."""
+        """Transform a part from the object frame to its pose."""
         pose = np.asarray(t_sensor_object, dtype=np.float64)
         moved = np.asarray(vertices_mm, dtype=np.float64) @ pose[:3, :3].T + pose[:3, 3]
         return cls(moved, np.asarray(triangles, dtype=np.int64))
@@ -48,7 +48,7 @@ class Moment:
     left : (H, W) uint8
         Left image.
     rows, cols : int
-        Size of the lattice; marker ``row * cols + col`` stands at that index.
+        Size of the lattice; marker ``row * cols + col`` has that index.
     left_px, reference_px : (N, 2) float64
         Markers in the left image, now and at rest.
     points_mm : (N, 3) float64
@@ -108,12 +108,12 @@ class Moment:
         )
 
     def titled(self, title: str) -> Moment:
-        """The same moment under another title."""
+        """The same moment with another title."""
         return replace(self, title=title)
 
 
 def pose_in_words(t_sensor_object: npt.ArrayLike) -> str:
-    """Position and rotation vector of a pose, for people.
+    """Position and rotation vector of a pose, as text.
 
     Examples
     --------

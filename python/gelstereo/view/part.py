@@ -1,4 +1,4 @@
-"""A part alone, as a picture: its faces, its axes, and what is known of it."""
+"""A picture of a part: its faces, its axes, and notes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def draw_template(
     notes: Sequence[str],
     symmetries: Sequence[Symmetry] = (),
 ) -> Image:
-    """Draw a part in its own frame.
+    """Draw a mesh part in its own frame.
 
     Parameters
     ----------
@@ -32,9 +32,9 @@ def draw_template(
     triangles : (F, 3) int64
         Counter-clockwise seen from outside.
     title, notes
-        A headline, and lines under it.
+        A heading, and lines under it.
     symmetries
-        Their axes are drawn through the part.
+        Symmetries whose axes are drawn through the part.
 
     Returns
     -------
@@ -54,14 +54,14 @@ def draw_scan(
     title: str,
     notes: Sequence[str],
 ) -> Image:
-    """Draw a part that is known by points alone, each as wide as its neighbours are apart.
+    """Draw a part given by points; each is drawn as wide as the distance of its neighbours.
 
     Parameters
     ----------
     points_mm, normals : (N, 3) float64
         Object frame; outward.
     spacing_mm
-        How far neighbours are apart.
+        Distance between neighbours.
     title, notes
         As in `draw_template`.
 
@@ -95,7 +95,7 @@ def _picture(
     project = Projection(vertices_mm, _WIDTH, _HEIGHT, margin=0.14)
     draw(view, project)
     for symmetry in symmetries:
-        # As far as the part reaches along it, and some more on either side.
+        # The part's extent along the axis, and a margin at both ends.
         along = (vertices_mm - symmetry.centre_mm) @ symmetry.axis
         more = 0.08 * float(np.ptp(along))
         ends = [symmetry.centre_mm + symmetry.axis * end for end in (along.min() - more, along.max() + more)]

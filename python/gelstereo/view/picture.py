@@ -1,4 +1,4 @@
-"""The whole picture: left image with markers, indentation map, and the view in three dimensions."""
+"""The complete picture: left image with markers, indentation map, and three-dimensional view."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def draw(moment: Moment) -> Image:
 
 
 def indentation_colours(indentation_mm: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.uint8], float]:
-    """Colours of heights, (N, 3), and the height that the brightest one stands for (at least 0.5 mm)."""
+    """Colours of heights, (N, 3), and the height of the brightest colour (at least 0.5 mm)."""
     import cv2
 
     top_mm = max(0.5, float(np.max(indentation_mm, initial=0.0)))
@@ -87,7 +87,7 @@ def _draw_image(canvas: Canvas, moment: Moment, x: int, y: int, height: int) -> 
 
 
 def _within(edges: npt.NDArray[np.float64], width: int, height: int) -> npt.NDArray[np.bool_]:
-    """Which edges, (E, 2, 2), lie inside the picture."""
+    """Mask of the edges (E, 2, 2) that lie inside the picture."""
     inside = (edges >= 0.0) & (edges < [width, height])
     return np.asarray(inside.all(axis=(1, 2)))
 
@@ -117,7 +117,7 @@ def _draw_map(
     cell = min(side / moment.rows, (_RIGHT_WIDTH - 90) / moment.cols)
     width, height = round(cell * moment.cols), round(cell * moment.rows)
     cells = colours.reshape(moment.rows, moment.cols, 3)
-    # Every marker is a cell of its own: nothing is made up between them.
+    # Every marker is a separate cell, without interpolation.
     canvas.image(np.kron(cells, np.ones((16, 16, 1), dtype=np.uint8)), x, y, width, height)
     _draw_bar(canvas, top_mm, x + width + 18, y, height)
 

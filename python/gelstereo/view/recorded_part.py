@@ -1,4 +1,4 @@
-"""Rig and part of a recording, by the configuration that stands in it."""
+"""Rig and part of a recording, from its embedded configuration."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gelstereo.view.mcap_file import Header
 Floats = npt.NDArray[np.float64]
 Triangles = npt.NDArray[np.int64]
 
-#: Deviation of a flattened shape from the true one, in the picture only.
+#: Tolerance of a triangulated shape, in the picture only.
 _SHAPE_TOLERANCE_MM = 0.02
 
 
@@ -25,7 +25,7 @@ def rig_of(header: Header) -> Rig:
 
 
 def mesh_of(header: Header) -> tuple[Floats, Triangles] | None:
-    """Vertices (object frame, millimetres) and triangles of the part, if the recording has it."""
+    """Vertices (object frame, millimetres) and triangles of the part, if it is recorded."""
     shape = header.config.get("part", {}).get("shape")
     if shape is None:
         return None

@@ -33,7 +33,7 @@ Floats = npt.NDArray[np.float64]
 
 @dataclass
 class _Located:
-    """The first cloud, and the last of everything up to the last pose (or to the end without one)."""
+    """The first cloud, and the last of each message type up to the last pose (or to the end if there is no pose)."""
 
     header: Header = field(default_factory=Header)
     rest: Cloud | None = None
@@ -52,12 +52,12 @@ def moment_of_recording(path: str | Path) -> Moment:
     Parameters
     ----------
     path
-        An MCAP file; one that was cut off is read up to the cut.
+        An MCAP file; a truncated one is read up to its end.
 
     Raises
     ------
     RecordingError
-        If it is no recording of a sensor.
+        If the file is not a recording of a sensor.
     FileNotFoundError
         If there is no such file.
     """

@@ -1,7 +1,7 @@
-"""Rerun as a place for moments: its viewer, or a file for it.
+"""Output of moments to Rerun: its viewer, or a file.
 
-Needs the extra ``rerun``: ``pip install gelstereo[rerun]``. Rerun's viewer is started by its own command, since its SDK
-would have it listen on every network interface.
+Needs the extra ``rerun``: ``pip install gelstereo[rerun]``. Rerun's viewer is started by its own command, because the
+SDK would make it listen on every network interface.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ with needs(__name__):
 Floats = npt.NDArray[np.float64]
 
 _HOST, _PORT = "127.0.0.1", 9876
-#: Time for the viewer to start.
+#: Time limit for the viewer's start.
 _START_S = 30.0
 
 
@@ -41,11 +41,11 @@ class RerunStream:
     Parameters
     ----------
     name
-        Of the program, as Rerun shows it.
+        Name of the program, shown by Rerun.
     file
-        An .rrd file to write. Without one Rerun's viewer is started, which needs a display.
+        An .rrd file to write. Without a file, Rerun's viewer is started, which needs a display.
     instead
-        What to do where there is no display, for the error's text.
+        Alternative where there is no display, for the error message.
     """
 
     def __init__(self, name: str, file: Path | None, instead: str) -> None:
@@ -66,7 +66,7 @@ class RerunStream:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        # The viewer stays open: whoever looks at it closes it. One that is gone takes nothing more.
+        # The viewer stays open until the user closes it. Sending to a closed viewer fails, and is ignored.
         if self._viewer is None or self._viewer.poll() is None:
             self.stream.flush()
             self.stream.disconnect()
@@ -85,7 +85,7 @@ class RerunStream:
         self.stream.connect_grpc(f"rerun+http://{_HOST}:{_PORT}/proxy")
 
     def has_ended(self) -> bool:
-        """Whether somebody closed the viewer; one that failed is an error."""
+        """Whether the user closed the viewer; a viewer that failed raises an error."""
         code = None if self._viewer is None else self._viewer.poll()
         if code:
             raise Error(
@@ -104,7 +104,7 @@ class RerunStream:
         by_state = np.array([STATE_COLOURS[state][::-1] for state in MarkerState], dtype=np.uint8)
         colours = by_state[state]
         colours[salient] = SALIENT[::-1]
-        # Rerun puts the image's corner at 0, not the centre of its first pixel.
+        # Rerun's origin is the image's corner, not the centre of its first pixel.
         now, rest = left_px + 0.5, reference_px + 0.5
         self.stream.log("image/left/markers", rerun.Points2D(now, colors=colours, radii=3.0))
         moved = rerun.LineStrips2D(np.stack([rest, now], axis=1), colors=[255, 255, 255], radii=0.7)

@@ -1,4 +1,4 @@
-"""The view in three dimensions: the gel's surface, the salient points and the located part."""
+"""The three-dimensional view: the gel's surface, the salient points and the located part."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from gelstereo.view.moment import Moment, Part
 
 Floats = npt.NDArray[np.float64]
 
-#: Where one looks from: azimuth about the sensor's z axis and height above its image plane.
+#: View direction: azimuth about the sensor's z axis and elevation above its image plane.
 _AZIMUTH_RAD, _ELEVATION_RAD = np.radians(-62.0), np.radians(28.0)
 _PART_COLOUR = np.array([206.0, 178.0, 148.0])
 _PART_OPACITY = 0.62
@@ -36,7 +36,7 @@ class Projection:
         return out
 
     def nearness(self, points_mm: Floats) -> Floats:
-        """Larger is nearer to who looks."""
+        """Depth order: larger values are nearer to the viewer."""
         out: Floats = points_mm @ self.axes[2]
         return out
 
@@ -59,7 +59,7 @@ def draw_solid(moment: Moment, colours: npt.NDArray[np.uint8], width: int, heigh
 
 
 def _within_reach(points_mm: Floats, part: Part) -> Floats:
-    """The gel, and as much of the part as leaves the gel large enough to be seen."""
+    """The gel, and as much of the part as fits while the gel stays large enough to see."""
     low, high = points_mm.min(axis=0), points_mm.max(axis=0)
     reach = 0.35 * float((high - low).max())
     return np.vstack([points_mm, np.clip(part.vertices_mm, low - reach, high + reach)])
@@ -78,7 +78,7 @@ def _draw_gel(canvas: Canvas, project: Projection, moment: Moment, colours: npt.
 
 
 def draw_part(canvas: Canvas, project: Projection, part: Part) -> None:
-    """Draw the faces that look this way, the farthest first, lit from above."""
+    """Draw the faces towards the viewer, the farthest first, lit from above."""
     corners = part.vertices_mm[part.triangles]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     lengths = np.linalg.norm(normals, axis=1)
@@ -93,9 +93,9 @@ def draw_part(canvas: Canvas, project: Projection, part: Part) -> None:
 def draw_surfels(
     canvas: Canvas, project: Projection, points_mm: Floats, normals: Floats, spacing_mm: float
 ) -> None:
-    """Draw points that look this way as discs as wide as neighbours are apart, the farthest first, lit from above."""
+    """Draw points that face the viewer as discs of the neighbours' distance, the farthest first, lit from above."""
     shade, flat = _lit(normals), project(points_mm)
-    # Discs of this radius leave no gap between neighbours on a square.
+    # Discs of this radius leave no gap between neighbours on a square grid.
     radius = project.scale * spacing_mm / np.sqrt(2.0)
     front = np.flatnonzero(project.nearness(normals) > 0.0)
     for index in front[np.argsort(project.nearness(points_mm[front]), kind="stable")]:
@@ -103,7 +103,7 @@ def draw_surfels(
 
 
 def _lit(normals: Floats) -> Floats:
-    """Share of the part's colour on faces with these unit normals, lit from above."""
+    """Brightness of the part's colour on faces with these unit normals, lit from above."""
     shade: Floats = 0.62 + 0.38 * np.clip(normals @ np.array([0.35, -0.45, 0.82]), 0.0, 1.0)
     return shade
 

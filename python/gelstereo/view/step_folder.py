@@ -1,4 +1,4 @@
-"""The steps of a recording as a folder of pictures with a page of all."""
+"""The steps of a recording as a folder of pictures with an index page."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _PAGE = "index.html"
 
 
 class FolderError(Error):
-    """A folder for pictures holds something else already."""
+    """A folder for pictures already has other contents."""
 
 
 def write_steps(steps: Steps, folder: Path, write: Callable[[Path, Image], None]) -> Path:
@@ -26,14 +26,14 @@ def write_steps(steps: Steps, folder: Path, write: Callable[[Path, Image], None]
     steps
         The recording.
     folder
-        A new or empty one, or one that was written here before: its older pictures are replaced.
+        A new or empty folder, or one written by this function before; its older pictures are replaced.
     write
-        Writes an image to a file.
+        Function that writes an image to a file.
 
     Raises
     ------
     FolderError
-        If the folder has files, but none of these steps.
+        If the folder has files, but no pictures of steps.
     RecordingError
         If the recording has no steps.
     """
@@ -73,7 +73,7 @@ def _row(step: Step) -> list[str]:
 
 
 def _letters(stage: str) -> str:
-    """A stage's name as a part of a file's name: whatever the recording says, it stays in the folder."""
+    """A stage's name as part of a file name, without characters that could lead out of the folder."""
     return "".join(letter for letter in stage if letter.isascii() and letter.isalnum()) or "frame"
 
 

@@ -1,4 +1,4 @@
-"""Stepping through a recording in a window of OpenCV."""
+"""Stepping through a recording in an OpenCV window."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from gelstereo.view.picture import draw
 from gelstereo.view.steps import Step, Steps
 
 _NAME = "gelstereo view"
-#: Milliseconds between looks at whether the window was closed.
+#: Interval of checks whether the window was closed, milliseconds.
 _EVENTS_MS = 50
-#: Codes of `cv2.waitKeyEx` by GTK and Qt, by Windows and by macOS, and letters.
+#: Codes of `cv2.waitKeyEx` with GTK and Qt, on Windows and on macOS, and letters.
 _NEXT = {65363, 2555904, 63235, ord("d"), ord("n"), ord(" ")}
 _BEFORE = {65361, 2424832, 63234, ord("a"), ord("p")}
 _FIRST = {65360, 2359296, 63273}
@@ -20,7 +20,7 @@ _CLOSE = {27, ord("q")}
 
 
 def step_after(key: int, number: int, count: int) -> int | None:
-    """The step that a key leads to from step `number` of `count`; None closes the window.
+    """The step selected by a key in step `number` of `count`; None closes the window.
 
     Examples
     --------
@@ -41,7 +41,7 @@ def step_after(key: int, number: int, count: int) -> int | None:
 
 
 def step_through(steps: Steps) -> None:
-    """Show one step at a time: arrow keys and Home and End change it, Escape, q or closing the window ends.
+    """Show one step at a time. Arrow keys, Home and End change it; Escape, q or closing the window ends.
 
     Raises
     ------
@@ -65,7 +65,7 @@ def step_through(steps: Steps) -> None:
 
 
 def _next_step(shown: int, count: int) -> int | None:
-    """Waits for a key that changes the step, or for the end."""
+    """Wait for a key that changes the step, or for the end."""
     import cv2
 
     while True:

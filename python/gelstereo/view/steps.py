@@ -1,4 +1,4 @@
-"""A recording, step by step: one moment per stage, or of every so many frames."""
+"""A recording, step by step: one moment per stage, or per given number of frames."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ __all__ = ["Step", "Steps", "outcome_in_words"]
 Floats = npt.NDArray[np.float64]
 Triangles = npt.NDArray[np.int64]
 
-#: Stages without the part in the hand: what was located earlier holds no longer.
+#: Stages without the part in the hand: an earlier pose is no longer valid.
 _WITHOUT_PART = ("open", "rest", "close", "retreat")
 #: Outcome, motion, a trigger, the pose, and what is free.
 _NOTE_LINES = 5
-#: The stage of sensing without a task. There a pose is of its own frame alone.
+#: The stage of sensing without a task, in which a pose is valid only for its own frame.
 _SENSE = "sense"
 
 
@@ -46,26 +46,26 @@ class Step:
     Attributes
     ----------
     number : int
-        From 0, in the order of the recording.
+        Number from 0, in the order of the recording.
     stage : str
         Name of the stage; empty where the recording names none.
     time_ns : int
-        On the recording's clock.
+        Time on the recording's clock.
     index : int, optional
-        Of the frame since the last rest frame.
+        Index of the frame since the last rest frame.
     motion_px : float, optional
         Mean motion of the markers in the left image since the reference.
     cloud, reference : Cloud
-        Markers now, and those from which motion counts.
+        Present markers, and the reference of the motion.
     image : LeftImage
     t_sensor_object : (4, 4) float64, optional
         Pose of the part, millimetres.
     free : tuple of str
-        What the contact leaves free.
+        Directions that the contact does not determine.
     events : tuple of str
-        Triggers, and frames that could not be sensed, since the step before.
+        Triggers, and frames that could not be sensed, since the previous step.
     outcome : str
-        How the run ended, in the last step.
+        Outcome of the run, in the last step.
     """
 
     number: int
@@ -83,20 +83,20 @@ class Step:
 
     @property
     def place(self) -> str:
-        """Stage and frame, in words."""
+        """Stage and frame, as text."""
         frame = "a frame" if self.index is None else f"frame {self.index}"
         return f"{self.stage}, {frame}" if self.stage else frame
 
 
 class Steps:
-    """Iterates over the steps of a recording, and makes moments of them.
+    """Iterates over the steps of a recording, and converts them to moments.
 
     Parameters
     ----------
     path
-        An MCAP file; one that was cut off is read up to the cut.
+        An MCAP file; a truncated one is read up to its end.
     every
-        A step of every so many frames with an image; of the last frame of each stage if left out.
+        Number of frames with an image per step. Default: one step per stage, of its last frame.
     """
 
     def __init__(self, path: str | Path, every: int | None = None) -> None:
@@ -111,7 +111,7 @@ class Steps:
         Raises
         ------
         RecordingError
-            If it is no recording of a sensor, or has no frame with markers and an image.
+            If the file is not a recording of a sensor, or has no frame with markers and an image.
         FileNotFoundError
             If there is no such file.
         """
@@ -130,7 +130,7 @@ class Steps:
             )
 
     def moment(self, step: Step) -> Moment:
-        """What a picture shows of a step."""
+        """The moment of a step, for a picture."""
         rig, mesh = self._model()
         part, edges_px = None, None
         if mesh is not None and step.t_sensor_object is not None:
@@ -160,13 +160,13 @@ class Steps:
 
 
 def _seen_by(rig: Rig, edges_mm: Floats) -> Floats:
-    """Edges in the left image, (E, 2, 2)."""
+    """Visible edges in the left image, (E, 2, 2)."""
     edges_px: Floats = rig.project(edges_mm.reshape(-1, 3))[0].reshape(-1, 2, 2)
     return edges_px
 
 
 def _padded(notes: list[str]) -> list[str]:
-    """Notes of as many lines as most steps need, so that their pictures have one size."""
+    """Notes padded to the usual number of lines, so that all pictures have the same size."""
     return notes + [""] * (_NOTE_LINES - len(notes))
 
 
@@ -205,7 +205,7 @@ def _detail(name: str, value: Any) -> str:
 
 @dataclass
 class _Walk:
-    """What of the recording is known at some message."""
+    """State while reading the recording."""
 
     every: int | None
     stage: str = ""
@@ -220,9 +220,9 @@ class _Walk:
     pose: Floats | None = None
     free: tuple[str, ...] = ()
     events: list[str] = field(default_factory=list)
-    #: The newest frame with markers and an image, with what was said of it since.
+    #: The newest frame with markers and an image, and later messages about it.
     newest: Step | None = None
-    #: Whether the newest frame became a step of this stage.
+    #: Whether the newest frame already is a step of this stage.
     is_step: bool = False
     _ready: list[Step] = field(default_factory=list)
 
@@ -231,7 +231,7 @@ class _Walk:
         return self.newest is not None
 
     def finished(self) -> list[Step]:
-        """Steps that are complete, each once."""
+        """Completed steps; each is returned once."""
         ready, self._ready = self._ready, []
         return ready
 
@@ -254,20 +254,20 @@ class _Walk:
             self._take_stage(json.loads(text_of(data)))
 
     def close(self) -> None:
-        """A stage or the recording ends: its newest frame is a step."""
+        """End a stage or the recording: its newest frame becomes a step."""
         if self.newest is not None and not self.is_step:
             self._emit(self.newest if self.every is not None else replace(self.newest, stage=self.stage))
 
     def _take_capture(self, capture: dict[str, Any]) -> None:
         if "event" not in capture:
-            # An image belongs to the capture before it; of some captures no image is kept.
+            # An image belongs to the capture before it; some captures have no recorded image.
             self.layout, self.image = capture.get("layout", self.layout), None
         elif capture["event"] == "trigger" and capture.get("cause") != "end":
             self.events.append(f"trigger: {capture.get('cause')}")
 
     def _take_cloud(self, cloud: Cloud) -> None:
         if self.every is not None and (self.frames - 1) % self.every == 0:
-            # Nothing more will be said of the frame before.
+            # No more messages about the previous frame will follow.
             self.close()
         if self.awaits_reference or self.reference is None:
             self.reference, self.awaits_reference = cloud, False
@@ -320,7 +320,7 @@ class _Walk:
             self._locate()
 
     def _locate(self) -> None:
-        """Pose and what it leaves free belong to the newest frame; they come after it, in either order."""
+        """Pose and free directions belong to the newest frame; they follow it in either order."""
         if self.newest is not None:
             self.newest = replace(self.newest, t_sensor_object=self.pose, free=self.free)
 

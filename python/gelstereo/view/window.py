@@ -1,4 +1,4 @@
-"""Whether OpenCV can open windows here."""
+"""Check whether OpenCV can open windows."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ import sys
 
 
 def window_problem(instead: str) -> str | None:
-    """Why no window can be opened here, or None. `instead` says what else shows pictures.
+    """Reason why no window can be opened, or None. `instead` names an alternative for the message.
 
-    The wheel that gelstereo depends on is the headless one. It has no windows even on a desktop, since the other one
-    brings Qt along and does not install beside it.
+    gelstereo depends on OpenCV's headless wheel, which has no windows even on a desktop. The full wheel brings Qt, and
+    cannot be installed beside it.
     """
     import cv2
 
