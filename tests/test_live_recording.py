@@ -27,6 +27,7 @@ from gelstereo.live.notes import config_toml, ros_covariance
 from gelstereo.live.record import LiveRecorder
 from gelstereo.live.run import LiveRun
 from gelstereo.view.recording import moment_of_recording
+from gelstereo.view.steps import Steps
 
 pytest.importorskip("rosbags", reason="PyPI's rosbags is not installed")
 
@@ -108,8 +109,14 @@ def replayed_by_the_host(path: Path, frames: int, raw: bool = False) -> None:
 def test_view_draws_the_located_part(recorded: Path) -> None:
     moment = moment_of_recording(recorded)
     assert moment.part is not None and moment.left.shape == (480, 640)
-    # The peg's own axis: what is free is told, not called determined.
+    # The spin about the peg's own axis is free.
     assert any("spin" in note for note in moment.notes)
+
+
+def test_steps_of_a_live_recording_are_one_with_its_free_directions(recorded: Path) -> None:
+    steps = list(Steps(recorded))
+    assert len(steps) == 1
+    assert any("spin" in direction for direction in Steps(recorded).located().free)
 
 
 def test_a_run_gives_the_same_file_whenever_it_is_made(recorded: Path, tmp_path: Path) -> None:

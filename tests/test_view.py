@@ -166,8 +166,8 @@ def write_recording(
 
         for time, frame in enumerate(frames):
             put("/gelstereo/left/image", time, image_message(frame.left, encoding))
-            put("/gelstereo/points", time, cloud_message(frame))
             put("/gelstereo/frame", time, message("std_msgs/msg/String", data=json.dumps({"index": time})))
+            put("/gelstereo/points", time, cloud_message(frame))
             if pose is not None and time == 3:
                 note = {"stage": "localize", "free": ["spin about z"]}
                 put("/gelstereo/stage", time, message("std_msgs/msg/String", data=json.dumps(note)))

@@ -29,7 +29,7 @@ MIN_PART_MM, MAX_PART_MM = 1.0, 1000.0
 
 
 #: Minimum number of points of a surface; also the number of points per cell from which density is estimated.
-_LEAST_POINTS = 6
+_MIN_POINTS = 6
 
 #: File formats that can be read.
 _WHOLE = "a whole STL, OBJ, PLY, GLB or STEP file"
@@ -169,9 +169,9 @@ def _points_and_normals(
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     points = np.asarray(cloud.vertices, np.float64)
     vertex = cloud.metadata.get("_ply_raw", {}).get("vertex", {})
-    if len(points) < _LEAST_POINTS:
+    if len(points) < _MIN_POINTS:
         raise MeshError(
-            f"{name} has no triangles and {len(points)} points; valid are {_LEAST_POINTS} points or more"
+            f"{name} has no triangles and {len(points)} points; valid are {_MIN_POINTS} points or more"
         )
     if not {"nx", "ny", "nz"} <= set(vertex.get("properties", ())):
         raise MeshError(
@@ -193,7 +193,7 @@ def _thinned(
     if not (np.isfinite(spacing_mm) and spacing_mm > 0.0):
         return points_mm, normals, spacing_mm
     cell_mm = spacing_mm
-    while (share := len(points_mm) / len(_first_of_cells(points_mm, cell_mm))) < _LEAST_POINTS:
+    while (share := len(points_mm) / len(_first_of_cells(points_mm, cell_mm))) < _MIN_POINTS:
         cell_mm *= 1.5
     found_mm = cell_mm / np.sqrt(1.5 * share)
     if found_mm >= spacing_mm:

@@ -124,8 +124,7 @@ def locate(
 
 
 def error_of(found: Localization, truth: Floats | None) -> tuple[float, float]:
-    """Angle (degrees) and distance at the patch (mm) from the truth, over the directions that the contact determines.
-    """
+    """Angle (degrees) and distance at the patch (mm) from the truth, over the determined directions."""
     assert truth is not None
     centre = found.free[0].centre_mm if found.free else np.zeros(3)
     here, back = np.eye(4), np.eye(4)

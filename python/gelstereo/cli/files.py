@@ -43,8 +43,7 @@ def read_image(path: Path) -> npt.NDArray[np.uint8]:
 
 
 def stereo_pairs(folder: Path) -> list[tuple[Path, Path]]:
-    """Images with the same name in ``left`` and ``right`` of a folder, in natural order: ``3.png`` before ``29.png``.
-    """
+    """Images with the same name in ``left`` and ``right``, in natural order: ``3.png`` before ``29.png``."""
     if not folder.is_dir():
         raise FileNotFoundError(2, "No such folder", str(folder))
     views = [{path.name: path for path in _images(folder / view)} for view in ("left", "right")]

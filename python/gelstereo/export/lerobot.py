@@ -152,8 +152,7 @@ def _episode_row(episode: Episode, task: str) -> dict[str, Any]:
 
 
 def _write_tasks(path: Path, task: str) -> None:
-    """Write the tasks. LeRobot reads them with pandas, whose metadata in the file marks the task as the index column.
-    """
+    """Write the tasks; LeRobot reads them with pandas, whose metadata marks the task as the index column."""
     index = "__index_level_0__"
     texts = {"metadata": None, "numpy_type": "object", "pandas_type": "unicode"}
     notes = {

@@ -65,8 +65,7 @@ class WebViewer:
         self._thread.join()
 
     def picture(self, after: int) -> tuple[int, bytes] | None:
-        """Wait for a picture with a number above `after`; return it as JPEG with its number, or None after a timeout.
-        """
+        """Wait for a picture numbered above `after`; return it as JPEG with its number, or None after a timeout."""
         found = self._newest.newer_than(after, _WAIT_S)
         if found is None:
             return None

@@ -75,8 +75,7 @@ def loft(rings: Sequence[tuple[float, Array]]) -> trimesh.Trimesh:
 
 
 def polar(radius_mm: float | Callable[[Array], Array], points: int) -> Array:
-    """Outline in polar form: the radius is a number or a function of the angle in radians. The first point lies on +x.
-    """
+    """Outline by its radius, a number or a function of the angle in radians. The first point lies on +x."""
     angle = 2.0 * np.pi * np.arange(points) / points
     radius = radius_mm(angle) if callable(radius_mm) else np.full(points, float(radius_mm))
     return np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])

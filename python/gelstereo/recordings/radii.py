@@ -106,7 +106,7 @@ def fit_radius(points_mm: Sequence[Array], shape: Shape, noise_mm: npt.ArrayLike
 
 
 def _plane_squares(points_mm: Array, shape: str, noise_mm: float) -> float:
-    """Sum of squared distances from the best-fit plane; markers on a line or a point are an error."""
+    """Sum of squared distances from the best-fit plane; it is an error if the markers are flat within their noise."""
     points = np.asarray(points_mm, np.float64)
     rms_mm = fit_plane(points).rms_mm
     # Markers span fewer than three dimensions: the radius is undetermined.

@@ -101,8 +101,7 @@ def undo_smoothing(recording: CloudRecording, window: int) -> CloudRecording:
 
 
 def noise_gain(window: int) -> float:
-    """Factor by which `undo_smoothing` raises the standard deviation of noise that was averaged over ``window`` frames.
-    """
+    """Factor on the standard deviation by `undo_smoothing`, for noise averaged over ``window`` frames."""
     share = _share(window)
     smooth = np.full(window, 1.0 / window)
     sharp = np.convolve(smooth, [-share, 1.0 + 2.0 * share, -share])

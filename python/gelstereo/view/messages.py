@@ -118,7 +118,7 @@ IMAGE_TOPICS = (_LEFT, f"{_LEFT}/compressed", _STEREO)
 
 @dataclass(frozen=True)
 class LeftImage:
-    """A message with a left image, decoded when it is needed: an encoded image takes less memory.
+    """A message with a left image, decoded on demand because an encoded image takes less memory.
 
     Attributes
     ----------

@@ -66,7 +66,7 @@ class RerunStream:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        # The viewer stays open until the user closes it. Sending to a closed viewer fails, and is ignored.
+        # The viewer stays open until the user closes it. A closed viewer accepts no data, so nothing is flushed to it.
         if self._viewer is None or self._viewer.poll() is None:
             self.stream.flush()
             self.stream.disconnect()

@@ -116,15 +116,35 @@ class Steps:
             If there is no such file.
         """
         walk = _Walk(self._every)
+        for _ in self._walked(walk):
+            yield from walk.finished()
+        walk.close()
+        yield from walk.finished()
+
+    def located(self) -> Step:
+        """The frame of the last pose, or the last frame without one. Its motion counts from the first frame.
+
+        Raises
+        ------
+        RecordingError, FileNotFoundError
+            As in iteration.
+        """
+        walk = _Walk(self._every)
+        for _ in self._walked(walk):
+            walk.finished()
+        step = walk.located or walk.newest
+        assert step is not None and walk.first is not None, "checked by _walked"
+        return replace(step, reference=walk.first)
+
+    def _walked(self, walk: _Walk) -> Iterator[None]:
+        """Pass all messages to the walk; yields after each."""
         try:
             for message in read_messages(self.path):
                 walk.take(message)
-                yield from walk.finished()
+                yield
         except Exception as error:
-            end_at_damage(self.path, error, walk.any_frame)
-        walk.close()
-        yield from walk.finished()
-        if not walk.any_frame:
+            end_at_damage(self.path, error, walk.newest is not None)
+        if walk.newest is None:
             raise RecordingError(
                 f"{self.path} has no stereo frame with markers; valid is a recording by gelstereo-host"
             )
@@ -175,11 +195,15 @@ def notes_of(step: Step) -> list[str]:
     notes = [f"ended: {step.outcome}"] if step.outcome else []
     if step.motion_px is not None:
         notes.append(f"mean marker motion {step.motion_px:.2f} px")
-    notes += step.events
-    if step.t_sensor_object is not None:
-        notes.append(pose_in_words(step.t_sensor_object))
-        notes.append("free: " + "; ".join(step.free) if step.free else "all six directions determined")
-    return notes
+    return [*notes, *step.events, *pose_notes(step)]
+
+
+def pose_notes(step: Step) -> list[str]:
+    """Lines about a step's pose; none without one."""
+    if step.t_sensor_object is None:
+        return []
+    free = "free: " + "; ".join(step.free) if step.free else "all six directions determined"
+    return [pose_in_words(step.t_sensor_object), free]
 
 
 def outcome_in_words(outcome: dict[str, Any]) -> str:
@@ -215,6 +239,7 @@ class _Walk:
     image: LeftImage | None = None
     note: dict[str, Any] = field(default_factory=dict)
     time_ns: int = 0
+    first: Cloud | None = None
     reference: Cloud | None = None
     awaits_reference: bool = True
     pose: Floats | None = None
@@ -222,13 +247,11 @@ class _Walk:
     events: list[str] = field(default_factory=list)
     #: The newest frame with markers and an image, and later messages about it.
     newest: Step | None = None
+    #: The frame of the last pose.
+    located: Step | None = None
     #: Whether the newest frame already is a step of this stage.
     is_step: bool = False
     _ready: list[Step] = field(default_factory=list)
-
-    @property
-    def any_frame(self) -> bool:
-        return self.newest is not None
 
     def finished(self) -> list[Step]:
         """Completed steps; each is returned once."""
@@ -248,7 +271,7 @@ class _Walk:
         elif topic == "/gelstereo/points":
             self._take_cloud(cloud_of(data))
         elif topic == "/gelstereo/pose":
-            self.pose = pose_of(data)
+            self.pose, self.located = pose_of(data), self.newest
             self._locate()
         elif topic == "/gelstereo/stage":
             self._take_stage(json.loads(text_of(data)))
@@ -269,6 +292,7 @@ class _Walk:
         if self.every is not None and (self.frames - 1) % self.every == 0:
             # No more messages about the previous frame will follow.
             self.close()
+        self.first = self.first or cloud
         if self.awaits_reference or self.reference is None:
             self.reference, self.awaits_reference = cloud, False
         if self.stage in (_SENSE, ""):
@@ -291,14 +315,17 @@ class _Walk:
         self.frames += 1
 
     def _take_stage(self, note: dict[str, Any]) -> None:
+        if "free" in note:
+            self.free = tuple(note["free"])
+            self._locate()
         request = note.get("request")
         if request is not None:
-            self._take_request(request, note)
+            self._take_request(request)
         elif "outcome" in note or "error" in note:
             if self.newest is not None:
                 self.newest = replace(self.newest, outcome=_ending(note))
             self.close()
-        else:
+        elif "free" not in note:
             self._begin(str(note.get("stage", "")))
 
     def _begin(self, stage: str) -> None:
@@ -310,19 +337,20 @@ class _Walk:
             self.pose, self.free = None, ()
             self._locate()
 
-    def _take_request(self, request: dict[str, Any], note: dict[str, Any]) -> None:
+    def _take_request(self, request: dict[str, Any]) -> None:
         if request.get("action") == "reset":
             self.awaits_reference = True
         elif request.get("action") == "mark_reference" and self.newest is not None:
             self.reference = self.newest.cloud
-        if "free" in note:
-            self.free = tuple(note["free"])
-            self._locate()
 
     def _locate(self) -> None:
         """Pose and free directions belong to the newest frame; they follow it in either order."""
-        if self.newest is not None:
-            self.newest = replace(self.newest, t_sensor_object=self.pose, free=self.free)
+        if self.newest is None:
+            return
+        newest = replace(self.newest, t_sensor_object=self.pose, free=self.free)
+        if self.located is self.newest and self.pose is not None:
+            self.located = newest
+        self.newest = newest
 
     def _emit(self, step: Step) -> None:
         self._ready.append(replace(step, number=self.steps, events=tuple(self.events)))
