@@ -12,8 +12,8 @@ from gelstereo import parts
 from gelstereo_bench.experiments.insertion.bound import (
     Bound,
     SmoothSurface,
+    covariance_bound,
     heights_information,
-    least_covariance,
 )
 from gelstereo_bench.experiments.insertion.chance import Prior
 from gelstereo_bench.experiments.insertion.grasp import fit_of
@@ -45,7 +45,7 @@ def test_facets_do_not_tell_a_round_part_s_spin() -> None:
     angle, along = (a.ravel() for a in np.meshgrid(np.linspace(-0.6, 0.6, 9), np.linspace(12.0, 26.0, 15)))
     points = np.column_stack([4.0 * np.cos(angle), 4.0 * np.sin(angle), along])
     surface = SmoothSurface(parts.peg_round())
-    covariance = least_covariance(surface, np.eye(4), points, covariances(len(points), 0.005), NOTHING)
+    covariance = covariance_bound(surface, np.eye(4), points, covariances(len(points), 0.005), NOTHING)
     sigma = np.sqrt(np.diag(covariance))
     # The interpolation of normals along a chord of 2.8 degrees is off by 1e-5 rad.
     assert sigma[2] > 1.0, "spin"

@@ -18,7 +18,7 @@ from gelstereo_bench.experiments.insertion.belief import Belief
 from gelstereo_bench.experiments.insertion.chance import Prior, adjoint
 from gelstereo_bench.experiments.insertion.grasp import GraspRanges, Hold, lie
 from gelstereo_bench.experiments.insertion.looks import (
-    LEAST_CHANCE,
+    MIN_CHANCE,
     Cell,
     Look,
     Regrasp,
@@ -176,7 +176,7 @@ def test_a_look_that_leaves_a_slide_open_takes_it_from_the_look_before(peaks_mm:
 
 
 def test_a_part_that_is_known_is_not_looked_at_again() -> None:
-    first = Look(POSE, one(POSE, np.eye(6)), LEAST_CHANCE)
+    first = Look(POSE, one(POSE, np.eye(6)), MIN_CHANCE)
     assert look_until_known(workplace("b"), METHODS[-1], first, (), 1) == [first]
 
 

@@ -291,7 +291,7 @@ def test_markers_that_touch_lie_on_the_part_and_none_is_in_it(law: str) -> None:
             # Stored to a fraction of a micrometre, on faces up to some 80 degrees steep.
             assert over_mm.min() > -0.01
             assert np.abs(over_mm[touching]).max() < 0.01
-            assert touching.sum() >= grasped.LEAST_TOUCHING
+            assert touching.sum() >= grasped.MIN_TOUCHING
 
 
 def test_a_layer_meets_the_part_and_bulges_beside_it() -> None:

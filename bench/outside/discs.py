@@ -243,8 +243,8 @@ def weighted(depth: npt.NDArray[np.float32], centre: Array, area_px2: float) -> 
     u, v = np.rint(centre).astype(int)
     rows, cols = slice(max(v - reach, 0), v + reach + 1), slice(max(u - reach, 0), u + reach + 1)
     part = depth[rows, cols]
-    most = float(part.max())
-    weight = np.clip(part - 0.2 * most, 0.0, 0.5 * most)
+    largest = float(part.max())
+    weight = np.clip(part - 0.2 * largest, 0.0, 0.5 * largest)
     x, y = np.arange(part.shape[1]) + cols.start, np.arange(part.shape[0]) + rows.start
     total = max(float(weight.sum()), 1e-9)
     return np.array([(weight * x).sum() / total, (weight * y[:, None]).sum() / total])

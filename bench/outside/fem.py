@@ -26,7 +26,7 @@ NORMAL_PENALTY = 2000.0
 STICK_PENALTY = 100.0
 # Blocks: the pressure starts as a parabola over this depth, and the part's bend counts up to this pressure.
 SOFT_MM = 0.002
-MOST_BENT = 20.0
+MAX_BEND_PRESSURE = 20.0
 
 
 class NotConverged(RuntimeError):
@@ -244,7 +244,7 @@ class Contact:
         traction = share[:, None] * trial
         slope = -rate[:, None, None] * normal[:, :, None] * normal[:, None, :]
         # Far inside the part, where iterates may be, the true factor would outweigh the gel.
-        slope += np.minimum(pressure, MOST_BENT)[:, None, None] * bend
+        slope += np.minimum(pressure, MAX_BEND_PRESSURE)[:, None, None] * bend
         hold = share[:, None, None] * across - (limit / both**3)[:, None, None] * (
             trial[:, :, None] * trial[:, None, :]
         )

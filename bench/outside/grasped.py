@@ -34,7 +34,7 @@ PITCH_MM = 0.9
 # Grids reach two millimetres beyond the markers.
 ALONG_MM = np.linspace(-13.0, 13.0, 209)
 # Poses are drawn until the part covers so many markers and so many touch: a soft gel meets few crests.
-LEAST_COVERED, LEAST_TOUCHING, DRAWS = 20, 6, 40
+MIN_COVERED, MIN_TOUCHING, DRAWS = 20, 6, 40
 # Where there is no part, far below every surface.
 NOWHERE_MM = -5.0
 # A marker touches where the gel is no higher than the part by more, mm.
@@ -151,13 +151,13 @@ def make(entry: dict[str, Any], part: Press, seeds: range) -> dict[str, Array]:
         for _ in range(DRAWS):
             pose = place(part, mesh, random)
             under = Underside(mesh, pose)
-            if (under.at(points) > 0).sum() < LEAST_COVERED:
+            if (under.at(points) > 0).sum() < MIN_COVERED:
                 continue
             moved, height, touches = press(entry, under, points)
-            if touches.sum() >= LEAST_TOUCHING:
+            if touches.sum() >= MIN_TOUCHING:
                 break
         else:
-            raise RuntimeError(f"{part.name}, seed {seed}: no pose of which {LEAST_TOUCHING} markers touch")
+            raise RuntimeError(f"{part.name}, seed {seed}: no pose of which {MIN_TOUCHING} markers touch")
         poses.append(pose)
         places.append(np.column_stack((moved + VGA.centre_mm, SURFACE_MM - height)))
         touching.append(touches)

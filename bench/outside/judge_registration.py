@@ -49,7 +49,7 @@ SIGMA_MM = 0.03 * np.array([0.5, 0.5, 1.0])
 STARTS = [Start(f"{deg:.0f} deg", deg, mm) for deg, mm in ((5.0, 1.0), (10.0, 2.0), (20.0, 3.5), (30.0, 5.0))]
 # As in `gelstereo_bench.frontier.grasps`: steeper faces than this, cosine, do not count in the bound.
 STEEP_COSINE = 0.35
-LEAST_SALIENT = 12
+MIN_SALIENT = 12
 # Markers that touch lie this near to the part, rms, and none lies deeper in it: two and five standard deviations.
 ALIKE_MM, WITHIN_MM = 0.06, 0.15
 
@@ -101,7 +101,7 @@ def contacts(half: str) -> Iterator[Judged]:
             heights, variance = rest.indentation_mm(points), np.full(len(points), SIGMA_MM[2] ** 2)
             salient, _ = pressure_saliency(rest, heights, variance, rows=SIDE, cols=SIDE, decay_mm=decay_mm)
             salient = np.asarray(salient)
-            if salient.sum() < LEAST_SALIENT:
+            if salient.sum() < MIN_SALIENT:
                 continue
             normals = np.full_like(points, np.nan)
             normals[touching] = surface_normals(mesh, template, pose, true[touching])

@@ -18,7 +18,7 @@ from .optics import turned
 Array = npt.NDArray[np.float64]
 
 # Per mm; twice that of the sharpest rounded edge of the solids.
-MOST_CURVED = 8.0
+MAX_CURVATURE = 8.0
 
 
 def to_outline(points: Array, corners: Array) -> Array:
@@ -117,7 +117,7 @@ class Posed:
         """Second derivatives of the distance (n x 3 x 3), cut off where faces meet without a rounded edge."""
         axes = step * np.eye(3)
         found = [(self.slope(points + a) - self.slope(points - a)) / (2 * step) for a in axes]
-        return np.clip(np.stack(found, axis=2), -MOST_CURVED, MOST_CURVED)
+        return np.clip(np.stack(found, axis=2), -MAX_CURVATURE, MAX_CURVATURE)
 
     def carried(self, points: Array, before: Posed) -> Array:
         """How far the part carries points that stick to it, from `before` to now (n x 3, mm)."""

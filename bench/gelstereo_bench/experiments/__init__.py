@@ -1,1 +1,1 @@
-"""The paper's experiments on the simulated sensor: trials in batches, and one offline report each."""
+"""The paper's experiments on the simulated sensor: batches of trials, and one report per experiment."""

@@ -1,7 +1,7 @@
-"""Batches of independent trials, here or on a cluster, whose results do not depend on who ran them.
+"""Batches of independent trials, on this machine or on a cluster; results do not depend on the workers.
 
-A trial is a pure function of its configuration and its seed, and its record is plain JSON. Records come back in the
-order of the trials, whatever the number of workers and whoever was faster.
+A trial is a pure function of its configuration and its seed, and its record is plain JSON. Records are returned in the
+order of the trials, whatever the number and speed of workers.
 """
 
 from __future__ import annotations
@@ -24,31 +24,32 @@ from gelstereo_bench.reports.provenance import build_digest
 __all__ = ["BatchError", "Configuration", "Progress", "Run", "Trial", "keyed_seed", "run_batch"]
 
 Configuration: TypeAlias = Mapping[str, Any]
-#: A trial: its configuration and its seed to its record. A function of a module, so that other processes find it.
+#: A trial: maps configuration and seed to a record. It must be a module-level function, so that other processes can
+#: import it.
 Run: TypeAlias = Callable[[Configuration, int], Record]
-#: Told how many of how many trials are finished.
+#: Called with the numbers of finished and of all trials.
 Progress: TypeAlias = Callable[[int, int], None]
 
-#: A task shorter than this is mostly the sending of it.
+#: Below this duration, the cost of sending dominates a task.
 TASK_S = 0.5
 
 _CLUSTER_TIMEOUT_S = 30.0
 
 
 class BatchError(Error):
-    """A batch cannot run."""
+    """A batch cannot be run."""
 
 
 @dataclass(frozen=True)
 class Trial:
-    """One run.
+    """One trial.
 
     Attributes
     ----------
     configuration
-        What is run, in JSON's terms.
+        Settings of the trial, JSON-compatible.
     seed
-        Of everything that is random in it.
+        Seed of all random numbers in the trial.
     """
 
     configuration: Configuration
@@ -56,13 +57,13 @@ class Trial:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of configuration and seed: what the trial's record is kept under."""
+        """SHA-256 of configuration and seed: the key of the trial's record."""
         text = json.dumps([self.configuration, self.seed], sort_keys=True, allow_nan=False)
         return hashlib.sha256(text.encode()).hexdigest()
 
 
 def keyed_seed(seed: int, *key: object) -> int:
-    """Seed of one trial: 48 bits of the batch's seed and the trial's name, apart from every other trial's.
+    """Seed of one trial: 48 bits of a hash of the batch's seed and the trial's name.
 
     Examples
     --------
@@ -82,27 +83,27 @@ def run_batch(
     store: Store | None = None,
     progress: Progress | None = None,
 ) -> list[Record]:
-    """Run trials, and give their records in the order of the trials.
+    """Run trials, and return their records in the order of the trials.
 
     Parameters
     ----------
     run
-        Called once for every trial that the store does not know.
+        Called once for every trial that is not in the store.
     trials
-        Two of the same configuration and seed are run once.
+        Trials; duplicates of configuration and seed are run once.
     workers
         Processes on this machine. More than one needs joblib (``pip install ./bench[batch]``).
     scheduler_address
-        Of a dask scheduler, whose workers then run the trials (``pip install ./bench[batch]``).
+        Address of a dask scheduler, whose workers then run the trials (``pip install ./bench[batch]``).
     store
-        Keeps every finished trial, and knows those of earlier runs.
+        Stores every finished trial, and supplies those of earlier runs.
     progress
-        Told the number of finished trials, and of all.
+        Called with the numbers of finished and of all trials.
 
     Raises
     ------
     BatchError
-        A library is missing, the cluster cannot be used, or a record is no JSON.
+        A library is missing, the cluster cannot be used, or a record is not JSON-compatible.
     """
     keys = [trial.digest for trial in trials]
     known: dict[str, Record] = {} if store is None else dict(store.records)
@@ -125,11 +126,11 @@ def run_batch(
 
 
 def _silent(done: int, total: int) -> None:
-    """Tell nobody."""
+    """Ignore progress."""
 
 
 def _first_of(keys: Sequence[str]) -> dict[str, int]:
-    """Every key once, with the first index of it."""
+    """Unique keys, each with its first index."""
     found: dict[str, int] = {}
     for index, key in enumerate(keys):
         found.setdefault(key, index)
@@ -143,14 +144,14 @@ _Chunk: TypeAlias = list[tuple[int, Trial]]
 
 @dataclass(frozen=True)
 class _Result:
-    """What a task gives back: records as JSON by the index of their trial, and the seconds they took."""
+    """Result of a task: records as JSON by the index of their trial, and their duration in seconds."""
 
     lines: list[tuple[int, str]]
     seconds: float
 
 
 class _Chunks:
-    """Trials in tasks of about half a second: single ones at first, more once their time is known."""
+    """Groups trials into tasks of about half a second: single trials at first, more once their duration is known."""
 
     def __init__(self, trials: _Chunk, workers: int) -> None:
         self._trials = trials
@@ -159,16 +160,16 @@ class _Chunks:
         self._trial_s = math.inf
 
     def learn(self, trial_s: float) -> None:
-        """Take note of the time of a trial; the least counts, a first one also loads modules."""
+        """Record the duration of a trial; the minimum is used, because the first trial also loads modules."""
         self._trial_s = min(self._trial_s, max(trial_s, 1e-6))
 
     def share_among(self, workers: int) -> None:
-        """Say how many work."""
+        """Set the number of workers."""
         self._workers = max(workers, 1)
 
     def __iter__(self) -> Iterator[_Chunk]:
         while self._next < len(self._trials):
-            # The last ones are shared out among all.
+            # The last trials are divided among all workers.
             fair = math.ceil((len(self._trials) - self._next) / self._workers)
             size = min(math.ceil(TASK_S / self._trial_s), fair) if self._trial_s < math.inf else 1
             start, self._next = self._next, self._next + max(size, 1)
@@ -176,7 +177,7 @@ class _Chunks:
 
 
 def _run_chunk(run: Run, chunk: _Chunk, build: str) -> _Result:
-    """Run some trials; this is what workers do."""
+    """Run some trials in a worker."""
     if build_digest() != build:
         raise BatchError(
             f"a worker has another build of gelstereo ({build_digest()[:12]}) than this program ({build[:12]}); "
@@ -205,7 +206,7 @@ def _as_json(record: Record, trial: Trial) -> str:
         ) from error
 
 
-# Who runs them
+# Executors
 
 
 def _results(run: Run, chunks: _Chunks, workers: int, scheduler_address: str | None) -> Iterator[_Result]:
@@ -231,7 +232,7 @@ def _on_processes(run: Run, chunks: _Chunks, workers: int) -> Iterator[_Result]:
 
 
 def _check_address(address: str) -> None:
-    """See that an address can be one: dask is slow to say that it cannot."""
+    """Check the form of an address, because dask takes long to reject an invalid one."""
     parts = urlsplit(address if "://" in address else f"tcp://{address}")
     try:
         usable = parts.scheme == "inproc" or (bool(parts.hostname) and parts.port is not None)
@@ -267,12 +268,12 @@ def _on_cluster(run: Run, chunks: _Chunks, address: str) -> Iterator[_Result]:
 
 
 def _tasks(client: Any, running: Any, run: Run, chunks: _Chunks) -> Iterator[_Result]:
-    """Results as they come; `running` is dask's ``as_completed``."""
+    """Results in order of completion; `running` is dask's ``as_completed``."""
     build, waiting = build_digest(), iter(chunks)
     while True:
         places = max(sum(client.nthreads().values()), 1)
         chunks.share_among(places)
-        # Twice as many as can run, so that nobody waits for this program.
+        # Twice as many tasks as workers, so that no worker waits for this process.
         while running.count() < 2 * places and (chunk := next(waiting, None)) is not None:
             running.add(client.submit(_run_chunk, run, chunk, build, pure=False))
         if running.count() == 0:

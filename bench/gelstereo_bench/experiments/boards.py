@@ -1,9 +1,8 @@
 """The paper's calibration boards (section V-A; Table I, Fig. 13 and 14).
 
-Boards with a block of known height are pressed until the plate around the block lies on the gel. How high the markers
-on the block then stand above their rest is compared with the truth: by every rung of every ladder that has a part in
-it, by every preset, and by the paper's own pipeline in OpenCV; with cameras that see the markers directly, and through
-air, acrylic and gel.
+Boards with a block of known height are pressed until the plate around the block lies on the gel. The rise of the
+markers on the block is compared with the truth. Methods are every rung that affects heights, every preset, and the
+paper's pipeline in OpenCV. Cameras see the markers directly, or through air, acrylic and gel.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ _STAGES = ("whole", "detect", "label", "points")
 
 
 def methods() -> dict[str, tuple[Params, bool]]:
-    """Settings of every method, and whether the native pipeline runs them; presets and the baseline first."""
+    """Settings of every method, and whether the native pipeline runs it; presets and the baseline first."""
     found = {
         (rung.name if rung.stage == "whole" else f"{rung.stage}: {rung.name}"): (rung.params(), True)
         for stage in _STAGES
@@ -61,10 +60,10 @@ def trials(repeats: int, seed: int) -> list[Trial]:
 
 
 def run(configuration: Configuration, seed: int) -> dict[str, Any]:
-    """Press a board once; every method measures the same images, or those of the configuration's ``methods`` do.
+    """Press a board once; all methods, or those in the configuration's ``methods``, measure the same images.
 
-    The record holds, by method, ``errors_um`` of the markers on the block, and ``salient_mm``, the mean height of what
-    the method takes for the contact, as the paper measures; or ``refused``, why it gave no answer.
+    For each method the record has ``errors_um`` of the markers on the block and ``salient_mm``, the mean height of the
+    markers classified as contact (the paper's measure); or ``refused``, the reason for no result.
     """
     cv2.setNumThreads(1)
     scene = board_scenes()[configuration["sensor"]]
@@ -87,7 +86,7 @@ def run(configuration: Configuration, seed: int) -> dict[str, Any]:
 
 
 def _rounded(values: Sequence[float] | np.ndarray[Any, Any]) -> list[float]:
-    """A nanometre is enough."""
+    """Round to a nanometre."""
     return [round(float(value), 3) for value in values]
 
 

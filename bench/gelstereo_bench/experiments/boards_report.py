@@ -1,4 +1,4 @@
-"""What the boards' records say: Table I and Fig. 14."""
+"""Report of the boards' experiment: Table I and Fig. 14."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from gelstereo_bench.frontier.scenes import CONDITIONS
 
 __all__ = ["PAPER_UM", "boards_report", "errors_um", "height_table", "salient_table"]
 
-#: What the paper reports of all its boards (section VI-A): the error is lower than this.
+#: Upper limit of the error that the paper reports for all its boards (section VI-A).
 PAPER_UM = 60.0
 
 _SENSORS = {
@@ -25,7 +25,7 @@ _SENSORS = {
     "refraction": "Through 20 mm of air, 3 mm of acrylic and 5 mm of gel",
 }
 
-#: What tables of the summary are of.
+#: Methods in the tables of the summary.
 _PRESETS, _SALIENT = "presets, and the paper's pipeline in OpenCV", "salient points"
 
 _ASKED = (
@@ -37,7 +37,7 @@ _ASKED = (
 
 
 def boards_report(trials: Sequence[Trial], records: Sequence[Record], inputs: Mapping[str, str]) -> Report:
-    """Make tables and figures of the records."""
+    """Create tables and figures from the records."""
     findings: list[Block] = []
     for sensor, title in _SENSORS.items():
         pairs = [(t, r) for t, r in zip(trials, records, strict=True) if t.configuration["sensor"] == sensor]
@@ -92,7 +92,7 @@ def _height_blocks(title: str, name: str, errors: Mapping[str, Mapping[str, Sequ
 
 
 def errors_um(trials: Sequence[Trial], records: Sequence[Record]) -> dict[str, dict[str, list[float]]]:
-    """Errors of all markers and presses by method and protrusion; nothing where all presses were refused."""
+    """Errors of all markers and presses by method and protrusion; empty where all presses were refused."""
     found: dict[str, dict[str, list[float]]] = {name: {} for name in records[0]["methods"]}
     for trial, record in zip(trials, records, strict=True):
         for name, result in record["methods"].items():

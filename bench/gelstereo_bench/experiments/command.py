@@ -23,7 +23,7 @@ EXAMPLES = """examples:
 All write report.html into the output folder: one file with its figures inside, for reading without a network.
 """
 
-#: Every experiment is a module with an `Experiment` of the name ``EXPERIMENT``.
+#: Every experiment is a module with an `Experiment` named ``EXPERIMENT``.
 EXPERIMENTS = {
     "boards": (
         "gelstereo_bench.experiments.boards",
@@ -60,13 +60,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def experiment_of(name: str) -> Experiment:
-    """The experiment of a name."""
+    """Look up an experiment by name."""
     found: Experiment = module_of(f"gelstereo experiment {name}", EXPERIMENTS[name][0]).EXPERIMENT
     return found
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Carry the experiment out; the exit code."""
+    """Run the experiment; return the exit code."""
     experiment = experiment_of(arguments.experiment)
     with Counter(experiment.name) as progress:
         try:

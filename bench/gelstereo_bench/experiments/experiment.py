@@ -1,4 +1,4 @@
-"""What an experiment is: its trials, how one is run, and what their records say."""
+"""Definition of an experiment: its trials, how to run one, and the report on their records."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ class Experiment:
     Attributes
     ----------
     name
-        As on the command line.
+        Name on the command line.
     repeats
-        How often the paper repeats each case.
+        Number of repeats per case in the paper.
     inputs
         Scenes and settings of all trials, as TOML, by name.
     trials
-        All trials, from the number of repeats and the seed. They do not depend on one another, and those of fewer
-        repeats are among those of more.
+        Creates all trials from the number of repeats and the seed. Trials are independent, and those of fewer repeats
+        are a subset of those of more.
     run
-        Runs one.
+        Runs one trial.
     report
-        What the records say, in the order of the trials.
+        Creates the report from the records, in the order of the trials.
     """
 
     name: str
@@ -46,7 +46,7 @@ class Experiment:
 
 @dataclass(frozen=True)
 class Outcome:
-    """An experiment that was carried out.
+    """Result of running an experiment.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class Outcome:
     report
         The HTML file.
     digest
-        SHA-256 of it.
+        SHA-256 of the report.
     """
 
     trials: int
@@ -80,24 +80,24 @@ def carry_out(
     Parameters
     ----------
     experiment
-        Which.
+        The experiment.
     folder
-        Made if it does not exist.
+        Output folder; created if it does not exist.
     repeats
-        Trials of every case; as many as the paper's if left out.
+        Repeats per case. Default: as in the paper.
     seed
-        Of all trials.
+        Seed of the batch.
     workers, scheduler_address, progress
         As :func:`gelstereo_bench.experiments.batch.run_batch` takes them.
     resume
-        Use trials that the folder already holds.
+        Whether to use trials already stored in the folder.
     page
-        A Markdown page whose section of the experiment's name takes the summary.
+        A Markdown page; the section with the experiment's name is replaced by the summary.
 
     Raises
     ------
     Error
-        A number is out of range, or as `Store` and `run_batch` raise it.
+        A number is out of range, or an error of `Store` or `run_batch`.
     """
     repeats = experiment.repeats if repeats is None else repeats
     if repeats < 1:

@@ -1,4 +1,4 @@
-"""Plots as SVG: the same figure gives the same file."""
+"""Plots as reproducible SVG files."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Mask = npt.NDArray[np.bool_]
 
 
 def as_svg(figure: Figure) -> bytes:
-    """Write a figure, without the time and without names drawn by chance."""
+    """Write a figure without timestamp and random identifiers."""
     out = io.BytesIO()
     with matplotlib.rc_context({"svg.hashsalt": "gelstereo", "svg.fonttype": "path"}):
         figure.savefig(out, format="svg", metadata={"Date": None})
@@ -37,16 +37,16 @@ def box_plots(
     x_label: str,
     y_label: str,
 ) -> Figure:
-    """One panel of boxes for each name: quartiles, whiskers to 1.5 times their distance, dots beyond.
+    """Box plots, one panel per name: quartiles, whiskers to 1.5 times the interquartile range, outliers as dots.
 
     Parameters
     ----------
     panels
         Values by panel and box.
     across
-        Panels side by side.
+        Number of panels side by side.
     x_label, y_label
-        What the boxes are of, and the values with their unit; every panel has its own scale.
+        Labels of the boxes and of the values, with unit; every panel has its own scale.
     """
     down = -(-len(panels) // across)
     figure, axes = _panels(down, min(across, len(panels)))
@@ -70,7 +70,7 @@ def box_plots(
 
 
 def _panels(down: int, across: int) -> tuple[Figure, Any]:
-    """Panels of one size, whose places are reckoned in inches: to ask a layout engine takes as long as to draw."""
+    """Panels of equal size at computed positions, because a layout engine takes as long as drawing."""
     width, height = 3.3 * across + 0.3, 2.6 * down + 0.5
     figure = Figure(figsize=(width, height))
     figure.subplots_adjust(
@@ -85,13 +85,13 @@ def _panels(down: int, across: int) -> tuple[Figure, Any]:
 
 
 def contact_maps(truth_mm: Array, found_mm: Array, touching: Mask, salient: Mask) -> Figure:
-    """Maps of a contact, a cell for every marker: heights in truth and as measured, their difference, and the region.
+    """Maps of a contact, a cell per marker: true and measured heights, their difference, and the contact region.
 
     Parameters
     ----------
     truth_mm, found_mm : (rows, cols) float64
     touching, salient : (rows, cols) bool
-        Which markers touch, and which were taken to.
+        True contact, and markers classified as in contact.
     """
     figure = Figure(figsize=(13.0, 3.0))
     axes: Any = figure.subplots(1, 4)

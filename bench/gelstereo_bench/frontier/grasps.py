@@ -58,7 +58,7 @@ STRAY_MM = 1.5
 #: Directions that the bound knows no better, rotations in mm at the patch's radius, count as free.
 _OBSERVABLE_MM = 0.06
 #: Least markers that truly touch, and least and most that are salient, for a contact to count.
-_LEAST_TOUCHING, _SALIENT = 20, range(12, 301)
+_MIN_TOUCHING, _SALIENT = 20, range(12, 301)
 
 
 @dataclass(frozen=True)
@@ -277,7 +277,7 @@ def _grasp(
     outlier = salient & (random.uniform(size=len(points)) < noise.outliers)
     points[outlier, 2] += random.uniform(-STRAY_MM, STRAY_MM, size=int(outlier.sum()))
     touching &= ~outlier
-    if touching.sum() < _LEAST_TOUCHING or int(salient.sum()) not in _SALIENT:
+    if touching.sum() < _MIN_TOUCHING or int(salient.sum()) not in _SALIENT:
         return None
     normals = np.full_like(points, np.nan)
     normals[touching] = surface_normals(mesh, template, pose, np.asarray(truth.points_mm)[touching])

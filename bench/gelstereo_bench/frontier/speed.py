@@ -310,8 +310,10 @@ def speed_targets(found: Sequence[Speed]) -> list[Target]:
                     targets.append(Target(what, limit, median_ms, "ms"))
                     if key in _OPENCV_MS:
                         ratio = opencv_ms.get(key, float("nan")) / median_ms
-                        least = round(_OPENCV_MS[key] / limit, 2)
-                        targets.append(Target(f"{what}, OpenCV's time over this", least, ratio, "", False))
+                        min_ratio = round(_OPENCV_MS[key] / limit, 2)
+                        targets.append(
+                            Target(f"{what}, OpenCV's time over this", min_ratio, ratio, "", False)
+                        )
             if track_ms is not None and "track" in speed.times:
                 times = speed.times["track"]
                 ratio = times.p99_ms / times.median_ms

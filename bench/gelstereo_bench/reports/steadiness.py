@@ -25,7 +25,7 @@ Indices = npt.NDArray[np.intp]
 
 
 #: Fewer markers are no contact.
-_LEAST_MARKERS = 8
+_MIN_MARKERS = 8
 
 
 @dataclass(frozen=True)
@@ -105,13 +105,13 @@ def stillest(points_mm: Array, cores: Mapping[int, Indices], frames: int) -> tup
             continue
         core = reduce(np.intersect1d, [cores[frame] for frame in stretch])
         points = points_mm[first : first + frames][:, core]
-        if len(core) < _LEAST_MARKERS:
+        if len(core) < _MIN_MARKERS:
             continue
         motion = np.median(np.linalg.norm(np.diff(points, axis=0), axis=2), axis=1).max()
         if best is None or motion < best[2]:
             best = points, core, float(motion)
     if best is None:
-        raise RecordingError(f"no {frames} frames in a row share {_LEAST_MARKERS} markers that touch")
+        raise RecordingError(f"no {frames} frames in a row share {_MIN_MARKERS} markers that touch")
     return best
 
 

@@ -62,13 +62,13 @@ class BoardNotFoundError(CalibrationError):
 class TooFewPairsError(CalibrationError):
     """Too few pairs show the whole board in both views.
 
-    Attributes: ``usable``, ``least``.
+    Attributes: ``usable``, ``minimum``, numbers of pairs.
     """
 
-    def __init__(self, message: str, usable: int, least: int) -> None:
+    def __init__(self, message: str, usable: int, minimum: int) -> None:
         super().__init__(message)
         self.usable = usable
-        self.least = least
+        self.minimum = minimum
 
 
 class SwappedViewsError(CalibrationError):

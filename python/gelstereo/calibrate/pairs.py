@@ -107,6 +107,6 @@ def _unpaired_message(left_only: Sequence[Path], right_only: Sequence[Path]) -> 
     return "; ".join(parts) + "; add the missing files or remove these"
 
 
-def _names(paths: Sequence[Path], most: int = 5) -> str:
-    names = ", ".join(path.name for path in paths[:most])
-    return names if len(paths) <= most else f"{names} and {len(paths) - most} more"
+def _names(paths: Sequence[Path], limit: int = 5) -> str:
+    names = ", ".join(path.name for path in paths[:limit])
+    return names if len(paths) <= limit else f"{names} and {len(paths) - limit} more"

@@ -36,8 +36,8 @@ def print_variance(at: Linearised, lattice_mm: float) -> float:
     """
     likelihood = _restricted_likelihood(at)
     # Below this, print errors add at most a millionth to the noise, even of the marker that shows them best.
-    least = 1e-6 / float((at.turned[0][~at.is_free] ** 2).max())
-    low, high = np.log(least), 2.0 * np.log(lattice_mm)
+    min_variance = 1e-6 / float((at.turned[0][~at.is_free] ** 2).max())
+    low, high = np.log(min_variance), 2.0 * np.log(lattice_mm)
     grid = np.linspace(low, high, 25)
     best = int(np.argmax([likelihood(float(np.exp(x))) for x in grid]))
     if best == 0:

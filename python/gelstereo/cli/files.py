@@ -62,16 +62,16 @@ def natural_key(name: str) -> tuple[list[tuple[int, int, str]], str]:
 
     Names that differ only in leading zeros are ordered as text.
     """
-    pieces = [piece for piece in re.split(r"([0-9]+)", name) if piece]
-    return [_piece_key(piece) for piece in pieces], name
+    parts = [part for part in re.split(r"([0-9]+)", name) if part]
+    return [_part_key(part) for part in parts], name
 
 
-def _piece_key(piece: str) -> tuple[int, int, str]:
+def _part_key(part: str) -> tuple[int, int, str]:
     # Digits sort where their text would: after characters below "0", before characters above "9".
-    if piece[0] in "0123456789":
-        digits = piece.lstrip("0")
+    if part[0] in "0123456789":
+        digits = part.lstrip("0")
         return ord("0"), len(digits), digits
-    return ord(piece[0]), 0, piece
+    return ord(part[0]), 0, part
 
 
 def _images(folder: Path) -> list[Path]:

@@ -20,7 +20,7 @@ Faces that are inside out are turned; holes and symmetries are told of. STEP fil
 """
 
 #: Number of axes printed in full; a cube has thirteen.
-_MOST_AXES = 4
+_MAX_AXES = 4
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -85,7 +85,7 @@ def _symmetries_in_words(symmetries: tuple[Symmetry, ...], tolerance_mm: float) 
         return f"no symmetry to {tolerance_mm:g} mm"
     words = [
         f"{'any turn' if axis.order is None else f'{axis.order} turns'} about ({x:.3f}, {y:.3f}, {z:.3f})"
-        for axis in symmetries[:_MOST_AXES]
+        for axis in symmetries[:_MAX_AXES]
         for x, y, z in [axis.axis + 0.0]
     ]
     more = len(symmetries) - len(words)

@@ -121,8 +121,8 @@ def _across(axis: Array) -> tuple[Array, Array]:
     return side, np.cross(axis, side)
 
 
-def _check(points_mm: Array, least: int, what: str) -> None:
+def _check(points_mm: Array, min_points: int, what: str) -> None:
     if points_mm.ndim != 2 or points_mm.shape[1] != 3 or not np.isfinite(points_mm).all():
         raise RecordingError(f"points have shape {points_mm.shape}; valid is (N, 3), all finite")
-    if len(points_mm) < least:
-        raise RecordingError(f"{len(points_mm)} points for {what}; at least {least} are needed")
+    if len(points_mm) < min_points:
+        raise RecordingError(f"{len(points_mm)} points for {what}; at least {min_points} are needed")

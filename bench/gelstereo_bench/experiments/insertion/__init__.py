@@ -14,7 +14,7 @@ from gelstereo_bench.experiments.insertion.workplace import sensor_scene
 
 __all__ = ["EXPERIMENT"]
 
-#: As often as the paper grasps a peg; the plug fewer times in proportion.
+#: Grasps per peg in the paper; the plug is grasped proportionally less often.
 _REPEATS = 36
 
 

@@ -1,4 +1,4 @@
-"""What the records of many grasps say: success and its interval, ranges, calibration, what robot errors cost."""
+"""Analysis of many grasps: success with its interval, ranges, calibration, effect of robot errors."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ import numpy.typing as npt
 
 from gelstereo_bench.experiments.batch import Trial
 from gelstereo_bench.experiments.insertion.grasp import Fit
-from gelstereo_bench.experiments.insertion.looks import LEAST_CHANCE, Regrasp
+from gelstereo_bench.experiments.insertion.looks import MIN_CHANCE, Regrasp
 from gelstereo_bench.experiments.insertion.robot import RobotErrors, over_hole
 from gelstereo_bench.experiments.store import Record
 
 __all__ = [
-    "LEAST_CHANCE",
+    "MIN_CHANCE",
     "Verdict",
     "allowed",
     "break_even",
@@ -30,16 +30,16 @@ __all__ = [
 
 Array = npt.NDArray[np.float64]
 
-#: What the paper reports over all its trials (section VI-B).
+#: Results that the paper reports over all its trials (section VI-B).
 PAPER_SHARE = 0.8571
 
 _ROBOTS = 8
-_LEAST_GRASPS = 5
+_MIN_GRASPS = 5
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """One method on one look at a grasped part."""
+    """Result of one method on one look at a grasped part."""
 
     part: str
     method: str
@@ -49,33 +49,33 @@ class Verdict:
     found: Array
     taught: tuple[Array, Array]
     room_mm: float
-    #: Predicted; 0 of a method that predicts nothing.
+    #: Predicted chance of insertion; 0 for a method without prediction.
     chance: float
-    #: Directions that the contact's faces leave free and that keep the part out of its hole.
+    #: Directions that the contact's faces do not determine and that matter for the insertion.
     matters: tuple[str, ...]
-    #: What is known least of what matters.
+    #: The least certain direction that matters.
     weakest: str
-    #: Looks after this one, of the same method; and how the hand got to this one, if it is not the first.
+    #: Later looks of the same method; and the regrasp that led to this one, except for the first.
     further: tuple[Verdict, ...] = ()
     regrasp: Regrasp | None = None
 
     @property
     def last(self) -> Verdict:
-        """The look that the robot acts on."""
+        """The look used for the insertion."""
         return self.further[-1] if self.further else self
 
     @property
     def inserted(self) -> bool:
-        """Whether the part goes in with a robot that moves exactly."""
+        """Whether the part goes in, with a robot that moves exactly."""
         return self.room_mm >= 0.0
 
     @property
     def go(self) -> bool:
-        """Whether the robot dares."""
-        return self.chance >= LEAST_CHANCE
+        """Whether the robot attempts the insertion."""
+        return self.chance >= MIN_CHANCE
 
     def placed(self, mount: Array | None = None, motion: Array | None = None) -> Array:
-        """Pose of the part in the hole's frame; errors as in `over_hole`, the mount's about the part."""
+        """Pose of the part in the hole's frame. Errors as in `over_hole`; the mount's error rotates about the part."""
         return over_hole(self.truth, self.found, self.taught, mount, motion, self.truth[:3, 3])
 
 
@@ -119,33 +119,33 @@ def _further(first: Verdict, look: dict[str, Any]) -> Verdict:
 
 
 def wilson(successes: int, trials: int) -> tuple[float, float]:
-    """95 % interval of a share, 0 to 1 (Wilson 1927)."""
+    """95 % confidence interval of a proportion, 0 to 1 (Wilson 1927)."""
     if trials == 0:
         return 0.0, 1.0
     z, share = 1.959964, successes / trials
     middle = share + z * z / (2.0 * trials)
     half = z * np.sqrt(share * (1.0 - share) / trials + z * z / (4.0 * trials * trials))
     scale = 1.0 + z * z / trials
-    # At the ends round-off goes beyond what a share can be.
+    # Round-off can exceed 0 and 1.
     return max(float((middle - half) / scale), 0.0), min(float((middle + half) / scale), 1.0)
 
 
 def allowed(chosen: Sequence[Verdict], angle: str, share: float = 1.0) -> float | None:
     """Largest angle (a key of `Verdict.hold`) up to which at least this share of grasps goes in, rad, or None.
 
-    One or two grasps are no share: an angle that fewer than `_LEAST_GRASPS` do not exceed does not count.
+    An angle counts only if at least `_MIN_GRASPS` grasps do not exceed it.
     """
     order = sorted(chosen, key=lambda verdict: abs(verdict.hold[angle]))
     best, inserted = None, 0
     for count, verdict in enumerate(order, start=1):
         inserted += verdict.inserted
-        if verdict.inserted and count >= _LEAST_GRASPS and inserted >= share * count:
+        if verdict.inserted and count >= _MIN_GRASPS and inserted >= share * count:
             best = abs(verdict.hold[angle])
     return best
 
 
 def calibration(chosen: Sequence[Verdict], bins: int = 10) -> list[tuple[float, int, int]]:
-    """Predicted chance against what happened: mean chance, grasps and insertions of every bin that has grasps."""
+    """Predicted chance against outcome: mean chance, grasps and insertions of every bin with grasps."""
     return [
         (float(np.mean([v.chance for v in within])), len(within), sum(v.inserted for v in within))
         for within in _bins(chosen, bins)
@@ -153,7 +153,7 @@ def calibration(chosen: Sequence[Verdict], bins: int = 10) -> list[tuple[float, 
 
 
 def expected(chosen: Sequence[Verdict], bins: int = 10) -> list[tuple[int, int]]:
-    """How many of every bin go in, from and to, in 95 % of cases, if every one does with the chance predicted of it."""
+    """Central 95 % interval of the insertions in each bin, if the predicted chances are right."""
     return [_poisson_binomial([v.chance for v in within]) for within in _bins(chosen, bins)]
 
 
@@ -164,7 +164,7 @@ def _bins(chosen: Sequence[Verdict], bins: int) -> list[list[Verdict]]:
 
 
 def _poisson_binomial(chances: Sequence[float]) -> tuple[int, int]:
-    """Central 95 % of the number of successes."""
+    """Central 95 % interval of the number of successes."""
     law = np.ones(1)
     for chance in chances:
         law = np.convolve(law, [1.0 - chance, chance])
@@ -173,7 +173,7 @@ def _poisson_binomial(chances: Sequence[float]) -> tuple[int, int]:
 
 
 def share_with(chosen: Sequence[Verdict], fits: dict[str, Fit], errors: RobotErrors) -> float:
-    """Share of grasps that go in when several robots with such errors align the part."""
+    """Share of grasps that go in, over several robots with these errors."""
     inserted = [
         fits[verdict.part].room_mm(verdict.placed(*errors.draw(robot, number))) >= 0.0
         for robot in range(_ROBOTS)
@@ -182,11 +182,13 @@ def share_with(chosen: Sequence[Verdict], fits: dict[str, Fit], errors: RobotErr
     return float(np.mean(inserted))
 
 
-def break_even(share_at: Callable[[float], float], most: float, goal: float = PAPER_SHARE) -> float | None:
-    """Scale of errors at which the share falls to `goal`, by bisection; None if it does not."""
-    if share_at(0.0) < goal or share_at(most) > goal:
+def break_even(
+    share_at: Callable[[float], float], max_scale: float, goal: float = PAPER_SHARE
+) -> float | None:
+    """Scale of the errors at which the share falls to `goal`, by bisection; None if it does not."""
+    if share_at(0.0) < goal or share_at(max_scale) > goal:
         return None
-    low, high = 0.0, most
+    low, high = 0.0, max_scale
     for _ in range(8):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if share_at(middle) >= goal else (low, middle)
@@ -194,11 +196,11 @@ def break_even(share_at: Callable[[float], float], most: float, goal: float = PA
 
 
 def cause(fit: Fit, placed: Array) -> str:
-    """Say why a part does not go in: what of its motion from the ideal is enough by itself, and how large it is."""
+    """Reason why a part does not go in: the component of its pose error that suffices by itself, and its size."""
     axis = placed[:3, 2]
     tilt_deg = float(np.rad2deg(np.arctan2(np.hypot(axis[0], axis[1]), axis[2])))
     turn_deg = float(np.rad2deg(np.arctan2(placed[1, 0] - placed[0, 1], placed[0, 0] + placed[1, 1])))
-    # Off the hole's axis where the part is in the middle of the hole.
+    # Distance from the hole's axis at the middle of the hole.
     middle_mm = 0.5 * (fit.hole.tip_mm + fit.hole.mouth_mm)
     off = (placed[:3, 3] + placed[:3, :3] @ [0.0, 0.0, middle_mm])[:2]
     moved, turned, leaning = np.eye(4), np.eye(4), np.array(placed)

@@ -1,12 +1,13 @@
-"""What a contact can tell of a part's pose at best, and what that leaves over the hole.
+"""Cramér-Rao bound of a part's pose from the heights of markers in contact, and the resulting uncertainty over the
+hole.
 
-A marker that touches the part says how high the surface is there, and nothing more. With x and n its place and the
-smooth surface's normal in the part's frame, a motion (ω, v) of the part raises the surface under it by
-(x × n)·ω + n·v, so the Fisher information is the sum of the outer products of (x × n, n) over the marker's variance
-along n. Its inverse is the least covariance that any unbiased registration of these heights has (Cramér-Rao). Normals
-are those of the smooth part: facets are what the mesher did.
+A marker in contact measures the height of the surface. Let x be its position and n the smooth surface's normal, in the
+part's frame. A motion (ω, v) of the part raises the surface there by (x × n)·ω + n·v. The Fisher information is the sum
+of the outer products of (x × n, n), divided by the marker's variance along n. Its inverse bounds the covariance of any
+unbiased registration of these heights (Cramér-Rao). Normals are those of the smooth part, not of the mesh's facets.
 
-It knows nothing of edges, which tell by which markers they pass. Where faces are flat, edges tell what heights do not.
+The bound ignores edges, which are informative through the markers that they separate. On flat faces, edges determine
+what heights do not.
 """
 
 from __future__ import annotations
@@ -23,16 +24,16 @@ from gelstereo_bench.experiments.insertion.hole import Hole, InsertedEnd
 if TYPE_CHECKING:
     import trimesh
 
-__all__ = ["Bound", "SmoothSurface", "heights_information", "least_covariance"]
+__all__ = ["Bound", "SmoothSurface", "covariance_bound", "heights_information"]
 
 Array = npt.NDArray[np.float64]
 
-#: Faces that meet at less than this are one smooth surface, rad: as registration has it (32 degrees).
+#: Faces that meet at a smaller angle are one smooth surface, rad; as in registration (32 degrees).
 _CREASE_RAD = 0.55
 
 
 class SmoothSurface:
-    """The smooth surface that a part's mesh stands for."""
+    """The smooth surface that a part's mesh approximates."""
 
     def __init__(self, mesh: trimesh.Trimesh) -> None:
         import trimesh
@@ -40,7 +41,7 @@ class SmoothSurface:
         self._mesh = trimesh.graph.smooth_shade(mesh, angle=_CREASE_RAD)
 
     def normals(self, points_mm: Array) -> Array:
-        """Unit normals where points (N, 3), in the part's frame, are nearest."""
+        """Unit normals at the surface points nearest to points (N, 3), part frame."""
         import trimesh
 
         near, _, faces = self._mesh.nearest.on_surface(points_mm)
@@ -55,21 +56,21 @@ def heights_information(points_mm: Array, normals: Array, covariance_mm2: Array)
     Parameters
     ----------
     points_mm, normals
-        Markers that touch, and the surface's normals there, (N, 3) in the part's frame.
+        Markers in contact, and the surface's normals there, (N, 3) in the part's frame.
     covariance_mm2
-        Of each of them, (N, 3, 3), the same frame.
+        Covariance of each marker, (N, 3, 3), same frame.
     """
     rows = np.hstack([np.cross(points_mm, normals), normals])
     variance = np.einsum("ni,nij,nj->n", normals, covariance_mm2, normals)
     return np.asarray((rows / variance[:, None]).T @ rows)
 
 
-def least_covariance(
+def covariance_bound(
     surface: SmoothSurface, t_sensor_object: Array, points_mm: Array, covariance_mm2: Array, prior: Prior
 ) -> Array:
-    """Least covariance of a motion (ω, v) of the part in its own frame, (6, 6), joined with what is known before.
+    """Minimum covariance of a motion (ω, v) of the part in its own frame, (6, 6), including the prior.
 
-    `points_mm` (N, 3) and `covariance_mm2` (N, 3, 3) are of the markers that touch, in the sensor's frame.
+    `points_mm` (N, 3) and `covariance_mm2` (N, 3, 3) are those of the markers in contact, sensor frame.
     """
     turn = t_sensor_object[:3, :3]
     points = (points_mm - t_sensor_object[:3, 3]) @ turn
@@ -83,18 +84,18 @@ def least_covariance(
 
 @dataclass(frozen=True)
 class Bound:
-    """What a reader of heights at the bound would know of the part over its hole: standard deviations."""
+    """Uncertainty of the part over its hole for an efficient estimator from heights: standard deviations."""
 
-    #: About the part's axis.
+    #: Rotation about the part's axis.
     spin_rad: float
-    #: Across the hole's axis in the middle of the hole, along the direction that is known least.
+    #: Translation across the hole's axis at the middle of the hole, along the least certain direction.
     aside_mm: float
-    #: Share of such readers' insertions that go in.
+    #: Success rate of insertions with this uncertainty.
     chance: float
 
     @classmethod
     def of(cls, hole: Hole, end: InsertedEnd, covariance: Array, random: np.random.Generator) -> Bound:
-        """Of a covariance of a motion (ω, v) in the hole's frame, (6, 6)."""
+        """Bound from a covariance of a motion (ω, v) in the hole's frame, (6, 6)."""
         about = np.eye(4)
         about[2, 3] = -0.5 * (hole.tip_mm + hole.mouth_mm)
         carry = adjoint(about)

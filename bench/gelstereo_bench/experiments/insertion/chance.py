@@ -1,4 +1,4 @@
-"""Go or no-go: how probable it is that a part goes in, from what is believed of its pose."""
+"""Go or no-go: the probability that a part goes in, from the belief about its pose."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ __all__ = ["SAMPLES", "Prior", "adjoint", "chance", "matters", "object_covarianc
 
 Array = npt.NDArray[np.float64]
 
-#: Poses drawn for one answer: it is then known to 0.02 where it matters most, at a half.
+#: Number of poses drawn per probability; the standard error at one half is then 0.02.
 SAMPLES = 512
 
 
 @dataclass(frozen=True)
 class Prior:
-    """What is known of a grasp before it is sensed: standard deviations about the middle of the contact."""
+    """Prior of a grasp: standard deviations about the middle of the contact."""
 
     rotation_rad: float = 0.3
     shift_mm: float = 2.0
 
 
 def adjoint(pose: Array) -> Array:
-    """Take twists (ω, v) through a pose, (6, 6): T exp(ξ) T⁻¹ = exp(Ad ξ)."""
+    """Adjoint matrix (6, 6) of a pose for twists (ω, v): T exp(ξ) T⁻¹ = exp(Ad ξ)."""
     rotation, (x, y, z) = pose[:3, :3], pose[:3, 3]
     out = np.zeros((6, 6))
     out[:3, :3] = out[3:, 3:] = rotation
@@ -38,10 +38,9 @@ def adjoint(pose: Array) -> Array:
 
 
 def object_covariance(found: Found, prior: Prior, besides: Array | None = None) -> Array:
-    """Covariance of a small motion (ω, v) of the part in its own frame, (6, 6): what was sensed, joined with the prior.
+    """Covariance of a small motion (ω, v) of the part in its own frame, (6, 6), from sensing and prior.
 
-    Along what the contact leaves free the prior is all that is known. `besides` is information from elsewhere, (6, 6),
-    sensor frame.
+    Along undetermined directions only the prior contributes. `besides` is additional information, (6, 6), sensor frame.
     """
     to_centre: Array = np.eye(4)
     to_centre[:3, 3] = -found.centre_mm
@@ -54,39 +53,40 @@ def object_covariance(found: Found, prior: Prior, besides: Array | None = None) 
 
 
 def chance(hole: Hole, end: InsertedEnd, drawn: Array) -> float:
-    """Probability that a part goes in, 0 to 1: the share of its motions (ω, v) over the hole, (S, 6), that fit."""
+    """Probability that a part goes in, 0 to 1: the share of sampled motions (ω, v) over the hole, (S, 6), that fit."""
     motions = np.stack([np.asarray(se3_exp(twist)) for twist in drawn])
     return float(np.mean(hole.rooms_mm(end, motions) >= 0.0))
 
 
 def matters(hole: Hole, end: InsertedEnd, free: FreeDirection) -> bool:
-    """Whether a motion that a contact leaves free keeps the part out of its hole when it is made a little."""
-    # About the part's origin, where the hole's frame has it.
+    """Whether a small motion along a free direction keeps the part out of its hole."""
+    # About the part's origin, in the hole's frame.
     twist = np.concatenate([free.omega, free.v - np.cross(free.omega, free.centre_mm)])
     size = _LITTLE_RAD if np.any(free.omega) else _LITTLE_MM
     motions = np.stack([np.asarray(se3_exp(sign * size * twist)) for sign in (-1.0, 1.0)])
     return bool(np.any(hole.rooms_mm(end, motions) < 0.0))
 
 
-#: A little: more than any clearance leaves, and less than what is known before anything is sensed.
+#: Size of the motion: larger than any clearance, and smaller than the prior's standard deviations.
 _LITTLE_RAD, _LITTLE_MM = 0.2, 1.0
 
-#: Motions of a part over its hole, but for the one along its axis, which costs nothing.
+#: Motions of a part over its hole, except along its axis, which does not matter.
 _MOTIONS = ("lean about x", "lean about y", "spin about z", "slide along x", "slide along y")
 
 
 def weakest(hole: Hole, end: InsertedEnd, covariance: Array) -> str:
-    """Name the motion that costs the inserted end the most room, and how well it is known.
+    """Name the motion whose uncertainty reduces the inserted end's clearance most, and its standard deviation.
 
-    `covariance` is that of a motion (ω, v) in the hole's frame. Every motion is made by one standard deviation, either
-    way, about the middle of the hole: the part's origin is far from it. A round part's spin costs nothing.
+    `covariance` is that of a motion (ω, v) in the hole's frame. Each motion is made by one standard deviation in both
+    directions, about the middle of the hole, because the part's origin is far from it. A round part's spin does not
+    matter.
     """
     about = np.eye(4)
     about[2, 3] = -0.5 * (hole.tip_mm + hole.mouth_mm)
     carry = adjoint(about)
     sigma = np.sqrt(np.maximum(np.diag(carry @ covariance @ carry.T)[:5], 0.0))
     there = adjoint(np.asarray(np.linalg.inv(about)))
-    # Half a turn is as bad as any.
+    # Rotations are limited to half a turn.
     twists = np.concatenate(
         [sign * np.minimum(sigma, np.pi) * np.eye(6, 5) for sign in (-1.0, 1.0)], axis=1
     ).T

@@ -1,7 +1,8 @@
-"""The smooth face that most markers of a contact lie on, and what their heights tell of a part.
+"""The smooth face under most markers of a contact, and the information from their heights.
 
-A row of markers that hangs beside an edge may lie on the next face as well, if the part is shifted and turned until it
-does: two numbers fit a straight row. What such a row seems to tell says nothing of how the part slides on its face.
+A row of markers beside an edge can be explained by the next face too, with a suitable shift and rotation of the part:
+two parameters fit a straight row. The apparent information of such a row does not determine how the part slides on its
+face.
 """
 
 from __future__ import annotations
@@ -25,20 +26,20 @@ __all__ = ["Faces", "is_ridged"]
 
 Array = npt.NDArray[np.float64]
 
-#: Faces that meet at less than this are one, rad: as registration has it (32 degrees).
+#: Faces that meet at a smaller angle are one, rad; as in registration (32 degrees).
 _CREASE_RAD = 0.55
-#: Faces that meet at more are upright on each other, rad (80 degrees).
+#: Faces that meet at a larger angle count as perpendicular, rad (80 degrees).
 _UPRIGHT_RAD = 1.4
-#: Cosine from which an edge is along the axis.
+#: Minimum cosine between axis and edge for an edge along the axis.
 _ALONG = 0.99
-#: Markers this near lie on the part, mm: four standard deviations of a height.
+#: Maximum distance of markers on the part, mm: four standard deviations of a height.
 _TOUCH_MM = 0.025
 
 
 def is_ridged(mesh: trimesh.Trimesh) -> bool:
-    """Whether two faces that gel may lie on meet at an edge along the part's axis, z, longer than the part is wide.
+    """Whether two faces that can touch the gel meet at an edge along the part's axis, z, longer than the part's width.
 
-    Beside a face that lies on the gel, one at a right angle to it is never touched.
+    A face perpendicular to the one on the gel is never touched.
     """
     angles = mesh.face_adjacency_angles
     ends = mesh.vertices[mesh.face_adjacency_edges[(angles > _CREASE_RAD) & (angles < _UPRIGHT_RAD)]]
@@ -48,16 +49,16 @@ def is_ridged(mesh: trimesh.Trimesh) -> bool:
 
 
 class Faces:
-    """The faces of a part, by the points of its template."""
+    """The faces of a part, from the points of its template."""
 
     def __init__(self, template: Template) -> None:
         self._points_mm, self._normals = np.asarray(template.points_mm), np.asarray(template.normals)
         self._tree = cKDTree(self._points_mm)
 
     def information(self, t_sensor_object: Array, points_mm: Array, covariance_mm2: Array) -> Array:
-        """What markers on the greatest face that is touched tell about a motion (ω, v) of the sensor's frame, (6, 6).
+        """Information on a motion (ω, v) in the sensor frame, (6, 6), from the markers on the largest face in contact.
 
-        `points_mm` (N, 3) and `covariance_mm2` (N, 3, 3) are of salient markers, in the sensor's frame.
+        `points_mm` (N, 3) and `covariance_mm2` (N, 3, 3) are those of the salient markers, sensor frame.
         """
         turn = t_sensor_object[:3, :3]
         points = (points_mm - t_sensor_object[:3, 3]) @ turn

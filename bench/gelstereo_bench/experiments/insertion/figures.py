@@ -43,7 +43,7 @@ def calibration_curve(curve: Sequence[tuple[float, int, int]]) -> bytes:
 
 
 def error_curves(curves: Mapping[str, Sequence[tuple[float, float]]], goal: float) -> bytes:
-    """Share that goes in over the size of an error, one panel for each kind; a line at `goal`."""
+    """Success rate over the size of an error, one panel per kind of error, with a line at `goal`."""
     figure = Figure(figsize=(3.1 * len(curves), 2.8), layout="constrained")
     axes: Any = figure.subplots(1, len(curves), sharey=True, squeeze=False)
     for axis, (name, points) in zip(axes.flat, curves.items(), strict=True):
@@ -58,7 +58,7 @@ def error_curves(curves: Mapping[str, Sequence[tuple[float, float]]], goal: floa
 
 
 def over_the_hole(panels: Mapping[str, tuple[Fit, Array]]) -> bytes:
-    """Parts at their poses (4, 4) in the hole's frame, seen along it; one panel for each letter."""
+    """Parts at their poses (4, 4) in the hole's frame, seen along the hole; one panel per part."""
     figure = Figure(figsize=(2.7 * len(panels), 2.9), layout="constrained")
     axes: Any = figure.subplots(1, len(panels), squeeze=False)
     for axis, (letter, (fit, placed)) in zip(axes.flat, panels.items(), strict=True):
@@ -84,7 +84,7 @@ def _outline(axis: Any, points: Array, **style: Any) -> None:
 
 
 def _corners(hole: Hole) -> Array:
-    """Corners of the hole: where neighbouring walls meet."""
+    """Corners of the hole: intersections of neighbouring walls."""
     angle = np.argsort(np.arctan2(hole.normals[:, 1], hole.normals[:, 0]))
     normals, offsets = hole.normals[angle], hole.offsets_mm[angle]
     corners = []

@@ -27,12 +27,12 @@ from gelstereo_bench.experiments.insertion.grasp import Hold
 from gelstereo_bench.experiments.insertion.sense import Method
 from gelstereo_bench.experiments.insertion.workplace import RANGES, Workplace
 
-__all__ = ["CELL", "LEAST_CHANCE", "MAX_LOOKS", "Cell", "Look", "Regrasp", "look_until_known", "regrasps"]
+__all__ = ["CELL", "MAX_LOOKS", "MIN_CHANCE", "Cell", "Look", "Regrasp", "look_until_known", "regrasps"]
 
 Array = npt.NDArray[np.float64]
 
 #: The robot inserts when success is at least so probable: as often as it is meant to succeed.
-LEAST_CHANCE = 0.99
+MIN_CHANCE = 0.99
 #: Looks at one part, the first included.
 MAX_LOOKS = 3
 #: Turns of the hand in the gel's plane: to either side of a row, where edges cross the rows of markers.
@@ -114,12 +114,12 @@ def regrasps(place: Workplace, belief: Belief) -> list[tuple[Regrasp, Array]]:
 def look_until_known(
     place: Workplace, method: Method, first: Look, others: Sequence[Belief], seed: int, cell: Cell = CELL
 ) -> list[Look]:
-    """Look again until the chance reaches `LEAST_CHANCE`, `MAX_LOOKS` times at most; all looks, the first included.
+    """Look again until the chance reaches `MIN_CHANCE`, `MAX_LOOKS` times at most; all looks, the first included.
 
     `others` are the beliefs that the goal was taught by. A grasp in which the part is not found ends the search.
     """
     looks = [first]
-    while looks[-1].chance < LEAST_CHANCE and len(looks) < MAX_LOOKS:
+    while looks[-1].chance < MIN_CHANCE and len(looks) < MAX_LOOKS:
         random = np.random.default_rng([seed, 97, len(looks)])
         regrasp, goal = _best(place, looks[-1].belief, others, cell, random)
         try:

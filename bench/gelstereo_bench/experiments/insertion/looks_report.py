@@ -11,7 +11,7 @@ import numpy as np
 from gelstereo.view.html import Block, Grid, Heading, Paragraph
 from gelstereo_bench.experiments.insertion.analysis import Verdict, wilson
 from gelstereo_bench.experiments.insertion.grasp import GRASPED
-from gelstereo_bench.experiments.insertion.looks import CELL, LEAST_CHANCE, MAX_LOOKS, Regrasp
+from gelstereo_bench.experiments.insertion.looks import CELL, MAX_LOOKS, MIN_CHANCE, Regrasp
 
 __all__ = ["PACE", "Pace", "looks_blocks", "part_name", "share_text"]
 
@@ -76,7 +76,7 @@ def looks_blocks(ours: Sequence[Verdict], letters: Sequence[str]) -> list[Block]
         Heading("Further looks"),
         Paragraph(
             "The first grasp is made while the part stands in its holder. Where the chance is below "
-            f"{LEAST_CHANCE}, the hand opens, moves by a known amount and closes on the standing part again, up to "
+            f"{MIN_CHANCE}, the hand opens, moves by a known amount and closes on the standing part again, up to "
             f"{MAX_LOOKS} looks in all. The look is the one after which the chance is predicted to be the highest. "
             "Poses are fused with their likelihoods. Between two looks the part may move, the arm errs, and the "
             f"fingers' place is uncertain: {CELL.shift_mm} mm and {CELL.turn_rad} rad in all, standard deviations of "

@@ -23,7 +23,7 @@ Array = npt.NDArray[np.float64]
 _M = 1e-3
 _WALL_MM = 4.0
 #: A round hole is a polygon of so many walls: its corners are 0.1 % farther out than its sides.
-_MOST_WALLS = 64
+_MAX_WALLS = 64
 _ABOVE_MM = 1.0
 _SPEED_MM_S = 20.0
 _SETTLE_S = 0.03
@@ -135,8 +135,8 @@ def _scene(hole: Hole, points_mm: Array, t_hole_object: Array, hand: Hand, held_
 
 def _walls(hole: Hole) -> str:
     """Boxes whose inner faces are the hole's walls."""
-    chosen = np.unique(np.linspace(0, len(hole.offsets_mm) - 1, _MOST_WALLS).round().astype(int))
-    if len(hole.offsets_mm) <= _MOST_WALLS:
+    chosen = np.unique(np.linspace(0, len(hole.offsets_mm) - 1, _MAX_WALLS).round().astype(int))
+    if len(hole.offsets_mm) <= _MAX_WALLS:
         chosen = np.arange(len(hole.offsets_mm))
     depth_mm = hole.tip_mm - hole.mouth_mm + _WALL_MM
     reach_mm = float(hole.offsets_mm.max()) + 2.0 * _WALL_MM

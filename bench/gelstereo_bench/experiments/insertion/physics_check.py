@@ -30,7 +30,7 @@ Array = npt.NDArray[np.float64]
 #: Directions for each part.
 _REPEATS = 8
 
-#: Settings by name: what differs from the default hand, with steps of at most 0.5 ms.
+#: Settings by name: what differs from the default hand, with steps of at max_distance 0.5 ms.
 _HANDS = {
     "as it is": Hand(),
     "half the time step": Hand(step_s=0.5 * Hand().step_s),
@@ -42,7 +42,7 @@ _HANDS = {
 }
 
 #: A part stands off in all six directions, in proportion to these; the limit of geometry is within so many times that.
-_TURN_RAD, _SHIFT_MM, _MOST_UNITS = 0.02, 0.5, 16.0
+_TURN_RAD, _SHIFT_MM, _MAX_UNITS = 0.02, 0.5, 16.0
 #: Limits of physics are looked for up to so many times that of geometry, by so many halvings.
 _MOST, _HALVINGS = 8.0, 7
 #: Where the parts are held behind their tips, and how far from the bottom a part still counts as in.
@@ -66,14 +66,14 @@ def trials(repeats: int, seed: int) -> Sequence[Trial]:
     ]
 
 
-def limit(goes_in: Callable[[float], bool], most: float, halvings: int) -> float:
-    """How far off something still goes in, by bisection to `most` / 2^`halvings`: `most` if it always does.
+def limit(goes_in: Callable[[float], bool], max_distance: float, halvings: int) -> float:
+    """How far off something still goes in, by bisection to `max_distance` / 2^`halvings`: `max_distance` if it always does.
 
     What goes in farther out than where something else did not is not looked for.
     """
-    if goes_in(most):
-        return most
-    low, high = 0.0, most
+    if goes_in(max_distance):
+        return max_distance
+    low, high = 0.0, max_distance
     for _ in range(halvings):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if goes_in(middle) else (low, middle)
@@ -89,7 +89,7 @@ def run(configuration: Configuration, seed: int) -> Record:
     fit = fit_of(configuration["part"])
     random = np.random.default_rng(seed)
     twist = random.normal(size=6) * np.repeat([_TURN_RAD, _SHIFT_MM], 3)
-    geometry = limit(lambda scale: fit.room_mm(_off(fit, scale * twist)) >= 0.0, _MOST_UNITS, 20)
+    geometry = limit(lambda scale: fit.room_mm(_off(fit, scale * twist)) >= 0.0, _MAX_UNITS, 20)
 
     def depth_mm(hand: Hand, scale: float) -> float:
         return descend(fit.hole, fit.end, _off(fit, scale * geometry * twist), hand, _HELD_MM)

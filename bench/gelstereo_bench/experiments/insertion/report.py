@@ -13,7 +13,7 @@ from gelstereo_bench.experiments.batch import Trial
 from gelstereo_bench.experiments.insertion import analysis, figures
 from gelstereo_bench.experiments.insertion.analysis import PAPER_SHARE, Verdict
 from gelstereo_bench.experiments.insertion.grasp import GRASPED, Fit, fit_of
-from gelstereo_bench.experiments.insertion.looks import LEAST_CHANCE
+from gelstereo_bench.experiments.insertion.looks import MIN_CHANCE
 from gelstereo_bench.experiments.insertion.looks_report import looks_blocks, part_name, share_text
 from gelstereo_bench.experiments.insertion.robot import RobotErrors
 from gelstereo_bench.experiments.insertion.sense import METHODS
@@ -40,7 +40,7 @@ _ASKED = (
     "A part goes in if its mesh at the pose that the robot achieves lies within the hole's walls: both "
     "are rigid, and nothing yields. Where contact cannot tell a direction that matters, a robot should refuse: the "
     "chance of success is predicted from what is believed of the pose, its covariance and the other poses that explain "
-    f"the contact, and the robot goes ahead from {LEAST_CHANCE} on."
+    f"the contact, and the robot goes ahead from {MIN_CHANCE} on."
 )
 
 
@@ -127,7 +127,7 @@ def _chances(ours: Sequence[Verdict], fits: Mapping[str, Fit]) -> list[Block]:
     ]
     return [
         Heading("Go or no-go"),
-        Grid(f"{METHODS[-1].name}: go from a predicted chance of {LEAST_CHANCE} on", head, rows),
+        Grid(f"{METHODS[-1].name}: go from a predicted chance of {MIN_CHANCE} on", head, rows),
         Grid(
             f"{METHODS[-1].name}: predicted chance against what happened; as many go in as the chances have it in 95 % "
             "of cases",
@@ -184,7 +184,7 @@ def _sides(fits: Mapping[str, Fit]) -> list[Block]:
     rows = []
     for turn in range(_SIDES):
         spin_rad = own + 2.0 * np.pi * turn / _SIDES
-        touching, bound = place.told(replace(place.nominal, spin_rad=spin_rad), _MARKER_SIGMA_MM)
+        touching, bound = place.bound_of(replace(place.nominal, spin_rad=spin_rad), _MARKER_SIGMA_MM)
         rows.append(
             [
                 f"{360 * turn / _SIDES:.0f}",
@@ -254,25 +254,25 @@ def _ranges(found: Sequence[Verdict], fits: Mapping[str, Fit]) -> list[Block]:
 
 
 def _range(chosen: Sequence[Verdict], angle: str) -> str:
-    most = analysis.allowed(chosen, angle, PAPER_SHARE)
-    return "-" if most is None else f"±{most:.3f}"
+    largest = analysis.allowed(chosen, angle, PAPER_SHARE)
+    return "-" if largest is None else f"±{largest:.3f}"
 
 
 def _robots(ours: Sequence[Verdict], fits: dict[str, Fit]) -> list[Block]:
     """Errors of the robot and of the coordinate transforms."""
     go = [v for v in ours if v.go]
     # Of all parts: they come one after the other.
-    go = go[:: -(-len(go) // _MOST_SWEPT) or 1]
+    go = go[:: -(-len(go) // _MAX_SWEPT) or 1]
     if not go:
         return []
     curves, rows = {}, []
-    for name, unit, unit_name, most in ERRORS:
+    for name, unit, unit_name, limit in ERRORS:
 
         def share_at(scale: float, unit: RobotErrors = unit) -> float:
             return analysis.share_with(go, fits, unit.times(scale))
 
-        curves[f"{name}, {unit_name}"] = [(float(x), share_at(float(x))) for x in np.linspace(0.0, most, 9)]
-        found = analysis.break_even(share_at, most)
+        curves[f"{name}, {unit_name}"] = [(float(x), share_at(float(x))) for x in np.linspace(0.0, limit, 9)]
+        found = analysis.break_even(share_at, limit)
         rows.append([name, f"{found:.3f} {unit_name}" if found is not None else "not reached"])
     return [
         Heading("What robot errors cost"),
@@ -292,7 +292,7 @@ def _robots(ours: Sequence[Verdict], fits: dict[str, Fit]) -> list[Block]:
 
 
 #: Grasps in the sweeps of robot errors, at most.
-_MOST_SWEPT = 100
+_MAX_SWEPT = 100
 
 
 def _failures(found: Sequence[Verdict], fits: Mapping[str, Fit]) -> list[Block]:

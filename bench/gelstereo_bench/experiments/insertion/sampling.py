@@ -45,7 +45,7 @@ _VAGUE = Prior(rotation_rad=3.0, shift_mm=20.0)
 #: Poses within this are one, mm; and one whose likelihood is less by this, in logarithms, does not count.
 _SAME_MM, _HOPELESS = 0.05, 8.0
 #: With fewer draws than this that count, likelihoods are tempered until as many do.
-_LEAST_EFFECTIVE = 12.0
+_MIN_EFFECTIVE = 12.0
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class InPlane:
     middle: Array
 
     @classmethod
-    def of(cls, found: Found, told: Array | None = None) -> InPlane:
+    def of(cls, found: Found, from_heights: Array | None = None) -> InPlane:
         """Take them about a pose that was found; `told` is what heights tell of it, (6, 6), or else its information."""
         axis, normal = found.t_sensor_object[:3, 2], np.array([0.0, 0.0, 1.0])
         origin, middle = found.t_sensor_object[:3, 3], np.eye(4)
@@ -75,7 +75,7 @@ class InPlane:
         # A motion is the likeliest of those that go as far: the heights and, where these tell nothing, the shortest.
         short = np.diag(np.repeat([_RADIUS_MM**2, 1.0], 3))
         across_all = np.linalg.solve(
-            carry.T @ (found.information if told is None else told) @ carry + short, reads.T
+            carry.T @ (found.information if from_heights is None else from_heights) @ carry + short, reads.T
         )
         ways = across_all @ np.linalg.inv(reads @ across_all)
         return cls(found.t_sensor_object, ways, reads, middle)
@@ -108,7 +108,7 @@ def believed(
     held: Held,
     prior: Prior,
     seed: int,
-    told: Array | None = None,
+    from_heights: Array | None = None,
     alike: float = 1.0,
     before: Belief | None = None,
 ) -> Belief:
@@ -120,7 +120,7 @@ def believed(
     frame; it is fused with what this look tells.
     """
     best, random = tried[0], np.random.default_rng([seed, 61])
-    plane = InPlane.of(best, told)
+    plane = InPlane.of(best, from_heights)
     away_mm = _SCOUTS_MM[:, None] * random.normal(size=(len(_SCOUTS_MM), 2))
     scouts = [held(plane.pose(x), _LOOSE_MM) for x in away_mm]
     every = sorted([*tried, *(s for s in scouts if s is not None)], key=lambda f: -f.log_likelihood)
@@ -202,12 +202,12 @@ def _density(x: Array, centres: Array, weights: Array) -> Array:
 
 
 def _tempered(logs: Array, proposed: Array) -> Array:
-    """Importance weights; likelihoods are tempered until `_LEAST_EFFECTIVE` draws count."""
+    """Importance weights; likelihoods are tempered until `_MIN_EFFECTIVE` draws count."""
     heat = 1.0
     while True:
         raw = (logs - logs.max()) / heat - proposed
         weights = np.exp(raw - raw.max())
         weights /= weights.sum()
-        if 1.0 / np.sum(weights**2) >= _LEAST_EFFECTIVE or heat > 100.0:
+        if 1.0 / np.sum(weights**2) >= _MIN_EFFECTIVE or heat > 100.0:
             return np.asarray(weights)
         heat *= 1.3

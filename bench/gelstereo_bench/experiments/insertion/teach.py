@@ -31,7 +31,7 @@ class Taught:
     #: By how much the poses found differ from the true ones, a motion in the part's frame: their mean.
     error: Array
     #: The least covariance of that, (6, 6), if heights are all that is read, of the first look of each.
-    least: Array
+    bound: Array
 
     @property
     def pair(self) -> tuple[Array, Array]:
@@ -47,13 +47,13 @@ def taught(letter: str, method: Method) -> Taught:
     them is known to a pitch only. A method that weighs poses looks again where one look does not tell enough.
     """
     place = workplace(letter)
-    errors, beliefs, least = [], [], []
+    errors, beliefs, bounds = [], [], []
     for number, turn_rad in enumerate(method.taught_rad):
         hold = replace(place.nominal, pitch_rad=turn_rad)
         t_sensor_object = place.lie(hold)
         grasp = place.grasp(t_sensor_object, hold.press_mm, _SEED)
         frame = place.senses.sense(method.preset, grasp)
-        least.append(place.least(t_sensor_object, grasp[-1], frame))
+        bounds.append(place.covariance_bound(t_sensor_object, grasp[-1], frame))
         belief = place.find(method, frame, _SEED)[1]
         last = _looked(place, method, Look(t_sensor_object, belief, 1.0), number)
         errors.append(np.asarray(se3_log(np.linalg.inv(last.t_sensor_object) @ last.belief.t_sensor_object)))
@@ -62,7 +62,7 @@ def taught(letter: str, method: Method) -> Taught:
         place.lie(place.nominal),
         tuple(beliefs),
         np.mean(errors, axis=0),
-        np.sum(least, axis=0) / len(least) ** 2,
+        np.sum(bounds, axis=0) / len(bounds) ** 2,
     )
 
 

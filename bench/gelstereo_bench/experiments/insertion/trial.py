@@ -44,14 +44,14 @@ def run(configuration: Configuration, seed: int) -> Record:
     grasp = place.grasp(t_sensor_object, hold.press_mm, _FIRST + seed)
     frames = {preset: place.senses.sense(preset, grasp) for preset in {m.preset for m in METHODS}}
     ours = METHODS[-1]
-    least = place.least(t_sensor_object, grasp[-1], frames[ours.preset])
-    least = least + taught(place.part.letter, ours).least
+    covariance = place.covariance_bound(t_sensor_object, grasp[-1], frames[ours.preset])
+    covariance = covariance + taught(place.part.letter, ours).bound
     random = np.random.default_rng([seed, 73])
     return {
         "hold": asdict(hold),
         "touching": int(np.count_nonzero(grasp[-1].in_contact)),
         "t_sensor_object": t_sensor_object.tolist(),
-        "bound": asdict(Bound.of(place.hole, place.fit.end, least, random)),
+        "bound": asdict(Bound.of(place.hole, place.fit.end, covariance, random)),
         "methods": {
             method.name: _judged(place, method, frames[method.preset], t_sensor_object, seed)
             for method in METHODS

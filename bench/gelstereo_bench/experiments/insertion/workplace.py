@@ -12,7 +12,7 @@ import numpy.typing as npt
 from gelstereo import Frame, RegisterError, Scene, SimulatedFrame, Simulator, Template
 from gelstereo.states import MarkerState
 from gelstereo_bench.experiments.insertion.belief import Belief
-from gelstereo_bench.experiments.insertion.bound import Bound, SmoothSurface, least_covariance
+from gelstereo_bench.experiments.insertion.bound import Bound, SmoothSurface, covariance_bound
 from gelstereo_bench.experiments.insertion.chance import Prior
 from gelstereo_bench.experiments.insertion.face import Faces, is_ridged
 from gelstereo_bench.experiments.insertion.grasp import GraspRanges, Hold, fit_of, guesses, lie, reaching
@@ -88,9 +88,9 @@ class Workplace:
         `before` is what earlier looks made the robot believe, in this frame: registration starts from it.
         """
         surface_mm, patch_mm = np.asarray(self.template.points_mm), np.asarray(frame.patch_points_mm)
-        if len(patch_mm) < _LEAST_PATCH:
+        if len(patch_mm) < _MIN_PATCH:
             raise RegisterError(
-                f"only {len(patch_mm)} markers are in contact; valid is {_LEAST_PATCH} or more: press deeper"
+                f"only {len(patch_mm)} markers are in contact; valid is {_MIN_PATCH} or more: press deeper"
             )
         registering = Registering(method, frame, self.template)
         if before is None:
@@ -103,32 +103,32 @@ class Workplace:
             return tried[0], believed(tried, registering.held, PRIOR, seed, before=before)
         tried = registering.again(tried)
         pose = tried[0].t_sensor_object
-        told = self.faces.information(
+        from_heights = self.faces.information(
             pose, patch_mm, np.asarray(frame.covariance_mm2)[np.asarray(frame.patch)]
         )
         alike = markers_alike(pose[:3, 2], patch_mm, self.pitch_mm)
-        return tried[0], believed(tried, registering.held, PRIOR, seed, told, alike, before)
+        return tried[0], believed(tried, registering.held, PRIOR, seed, from_heights, alike, before)
 
-    def least(self, t_sensor_object: Array, contact: SimulatedFrame, frame: Frame) -> Array:
+    def covariance_bound(self, t_sensor_object: Array, contact: SimulatedFrame, frame: Frame) -> Array:
         """Least covariance of the part's pose, in its own frame, (6, 6), from the heights of markers that touch."""
         seen = np.asarray(contact.in_contact) & (np.asarray(frame.state) == MarkerState.SEEN)
-        return least_covariance(
+        return covariance_bound(
             self.surface, t_sensor_object, contact.points_mm[seen], frame.covariance_mm2[seen], PRIOR
         )
 
-    def told(self, hold: Hold, sigma_mm: float) -> tuple[int, Bound]:
+    def bound_of(self, hold: Hold, sigma_mm: float) -> tuple[int, Bound]:
         """How many markers touch a part that is held so, and what their heights tell, each known to `sigma_mm`."""
         t_sensor_object = self.lie(hold)
         contact = self.simulator.press(t_sensor_object)
         points_mm = contact.points_mm[contact.in_contact]
         covariance = np.tile(sigma_mm**2 * np.eye(3), (len(points_mm), 1, 1))
-        least = least_covariance(self.surface, t_sensor_object, points_mm, covariance, PRIOR)
-        bound = Bound.of(self.hole, self.fit.end, least, np.random.default_rng(1))
+        of_part = covariance_bound(self.surface, t_sensor_object, points_mm, covariance, PRIOR)
+        bound = Bound.of(self.hole, self.fit.end, of_part, np.random.default_rng(1))
         return len(points_mm), bound
 
 
 #: Registration is not tried with fewer markers.
-_LEAST_PATCH = 6
+_MIN_PATCH = 6
 
 
 @lru_cache(maxsize=8)
