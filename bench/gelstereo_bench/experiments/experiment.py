@@ -88,7 +88,7 @@ def carry_out(
     seed
         Seed of the batch.
     workers, scheduler_address, progress
-        As :func:`gelstereo_bench.experiments.batch.run_batch` takes them.
+        As in :func:`gelstereo_bench.experiments.batch.run_batch`.
     resume
         Whether to use trials already stored in the folder.
     page

@@ -1,8 +1,8 @@
-"""Parts in the middle of a gripper: how they may lie, what the sensor sees of them, and what is guessed at first.
+"""Grasps of parts: possible poses in the gripper, and initial guesses for registration.
 
 The part lies across the gel with its tip down, towards the sensor frame's +y, between two parallel fingers. Pitch is
-its turn within the gel's plane (from the nominal direction), roll its tilt out of that plane; both names are the
-paper's (Fig. 15, Rx and Ry of the sensor).
+its rotation in the gel's plane from the nominal direction, roll its tilt out of that plane. Both names are the paper's
+(Fig. 15, Rx and Ry of the sensor).
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ __all__ = ["GRASPED", "Fit", "GraspRanges", "Grasped", "Hold", "fit_of", "guesse
 
 Array = npt.NDArray[np.float64]
 
-#: Half the gel's side that parts press on, mm.
+#: Half the side of the gel's usable area, mm.
 _GEL_HALF_MM = 10.0
-#: A patch has a longer axis when it spreads so many times as far along it.
+#: Minimum ratio of a patch's spread along and across its longer axis.
 _LONGER = 1.5
-#: Guesses that owe nothing to the patch's outline.
+#: Pitches of guesses that do not depend on the patch's outline.
 _PITCHES_RAD = (-0.5, 0.0, 0.5)
 
 
@@ -41,24 +41,24 @@ class Grasped:
     #: As in the paper, (a) to (e).
     letter: str
     make: Callable[[], trimesh.Trimesh]
-    #: How far behind its tip a part is held, mm: from and to.
+    #: Range of the distance from the tip to where the part is held, mm.
     held_mm: tuple[float, float]
-    #: Turns about its axis in which parallel fingers hold it, rad, and how far it may be turned from them.
+    #: Spin angles at which parallel fingers hold the part, rad, and the tolerance about them.
     faces_rad: tuple[float, ...]
     spin_rad: float
-    #: How deep it is inserted, and what the hole's width has over the part's, mm.
+    #: Insertion depth, and width of the hole minus width of the part, mm.
     depth_mm: float
     clearance_mm: float
-    #: Turns of the hand about the axis of the standing part, rad, after which fingers hold it again.
+    #: Rotations of the hand about the axis of the standing part, rad, after which the fingers can hold it again.
     again_rad: tuple[float, ...]
-    #: As often as in the paper (section V-A).
+    #: Number of grasps in the paper (section V-A).
     trials: int = 36
 
 
 _QUARTER = 0.5 * np.pi
-#: A hexagon with a corner on +x lies on a flat when it is turned by half a side.
+#: A hexagon with a corner on +x lies on a flat after a rotation by 30 degrees.
 _FLAT = np.pi / 6.0
-#: Fingers that close on a face turn the part to them, nearly.
+#: Closing fingers align a face with themselves, up to this error.
 _SEATED = 0.05
 
 
@@ -66,11 +66,11 @@ def _turns(first_rad: float, count: int) -> tuple[float, ...]:
     return tuple(first_rad + 2.0 * np.pi * k / count for k in range(count))
 
 
-#: An irregular cap lies on two of its lobes where its height over a plane is least; on one it would roll.
+#: The irregular cap rests on two lobes, where its height over a plane has a minimum; on one lobe it would roll.
 _ON_LOBES = 2.4
 
 
-#: A hand that is turned so far about a part's axis holds it again: anywhere, on the next face, or by its other side.
+#: Rotations of the hand about a part's axis between grasps: any angle, to the next face, or to the other side.
 _ANY_WAY, _NEXT_SIDES, _SIXTHS, _EITHER_SIDE = (
     (0.0, _QUARTER),
     (0.0, _QUARTER),
@@ -78,7 +78,7 @@ _ANY_WAY, _NEXT_SIDES, _SIXTHS, _EITHER_SIDE = (
     (0.0, np.pi),
 )
 
-#: The paper's pegs; its clearances are below 0.3 mm.
+#: The paper's pegs; the paper's clearances are below 0.3 mm.
 GRASPED = {
     part.letter: part
     for part in (
@@ -116,7 +116,7 @@ GRASPED = {
             0.25,
             _SIXTHS,
         ),
-        # Only one of its two wide sides fits the socket.
+        # The plug fits the socket with only one of its two wide sides.
         Grasped(
             "usb_plug",
             "e",
@@ -143,12 +143,12 @@ class Fit:
     hole: Hole
 
     def room_mm(self, t_hole_object: Array) -> float:
-        """Least distance of the inserted part from the walls, mm; below 0 it does not go in."""
+        """Minimum clearance of the inserted part to the walls, mm; below 0 it does not go in."""
         return self.hole.room_mm(self.end, t_hole_object)
 
 
 def fit_of(letter: str) -> Fit:
-    """Make the part of a letter and its hole."""
+    """Create the part with a letter and its hole."""
     part = GRASPED[letter]
     mesh = part.make()
     end = InsertedEnd.of(mesh)
@@ -157,19 +157,19 @@ def fit_of(letter: str) -> Fit:
 
 @dataclass(frozen=True)
 class GraspRanges:
-    """Where a part may lie; everything is drawn evenly."""
+    """Ranges of a part's pose; all values are uniformly distributed."""
 
     pitch_rad: float = 0.8
     roll_rad: float = 0.05
-    #: Across its axis, from the middle of the gel.
+    #: Offset across its axis from the middle of the gel.
     shift_mm: float = 2.0
-    #: How far the fingers press it into the gel.
+    #: Indentation depth.
     press_mm: tuple[float, float] = (0.8, 1.4)
 
 
 @dataclass(frozen=True)
 class Hold:
-    """How a part lies in the hand."""
+    """Pose of a part in the hand."""
 
     pitch_rad: float
     roll_rad: float
@@ -180,9 +180,10 @@ class Hold:
 
     @classmethod
     def nominal(cls, part: Grasped, ranges: GraspRanges) -> Hold:
-        """Lie in the middle, straight but for a little pitch: the grasp that is taught.
+        """The taught grasp: in the middle, straight except for a small pitch angle.
 
-        An edge that lies along a row of markers is known to a pitch only; one that crosses the rows, to a part of it.
+        An edge parallel to a row of markers is determined only to one marker pitch; an edge that crosses the rows, to a
+        fraction of it.
         """
         return cls(
             0.1, 0.0, part.faces_rad[0], 0.0, float(np.mean(part.held_mm)), float(np.mean(ranges.press_mm))
@@ -190,7 +191,7 @@ class Hold:
 
     @classmethod
     def drawn(cls, part: Grasped, ranges: GraspRanges, random: np.random.Generator) -> Hold:
-        """Lie somewhere within the ranges."""
+        """Draw a random hold within the ranges."""
         pitch, roll, spin, shift = random.uniform(-1.0, 1.0, size=4)
         face = part.faces_rad[int(random.integers(len(part.faces_rad)))]
         return cls(
@@ -204,7 +205,7 @@ class Hold:
 
     @classmethod
     def of_pose(cls, t_sensor_object: Array) -> Hold:
-        """Angles of a part at a pose, (4, 4); the lengths, which depend on the part and the gel, are 0."""
+        """Hold with the angles of a pose, (4, 4); its lengths, which depend on part and gel, are 0."""
         axis = t_sensor_object[:3, 2]
         pitch_rad = float(np.arctan2(axis[1], axis[0])) - _QUARTER
         roll_rad = -float(np.arcsin(np.clip(axis[2], -1.0, 1.0)))
@@ -214,18 +215,18 @@ class Hold:
 
 
 def lie(hold: Hold, surface_mm: Array, middle_mm: Array, tip_z_mm: float) -> Array:
-    """Pose of a part that is held so, (4, 4) t_sensor_object.
+    """Pose of a part in this hold, (4, 4) t_sensor_object.
 
     Parameters
     ----------
     hold
-        How it lies. It reaches `hold.press_mm` into the gel.
+        The hold. The part reaches `hold.press_mm` into the gel.
     surface_mm
         Points of the part's surface, its frame, (N, 3) mm.
     middle_mm
         The middle of the gel's rest surface, sensor frame, (3,) mm.
     tip_z_mm
-        Where its tip is along its own z axis.
+        Position of the tip along the part's z axis.
     """
     pose = _turned(hold)
     axis = pose[:3, 2]
@@ -235,10 +236,11 @@ def lie(hold: Hold, surface_mm: Array, middle_mm: Array, tip_z_mm: float) -> Arr
 
 
 def guesses(nominal: Hold, surface_mm: Array, patch_mm: Array, tip_z_mm: float) -> list[Array]:
-    """First guesses of a pose from a contact patch (N, 3), mm: upon it, along it, and otherwise as is nominal.
+    """Initial guesses of a pose from a contact patch (N, 3), mm: centred on the patch and aligned with it, otherwise
+    nominal.
 
-    The first lies along the patch's longer axis, taken in the direction closer to the nominal pitch, if it has one; the
-    others at `_PITCHES_RAD`. The rest is as for `lie`.
+    The first guess lies along the patch's longer axis, if there is one, in the direction closer to the nominal pitch.
+    The others have the pitches `_PITCHES_RAD`. Other parameters as in `lie`.
     """
     middle = patch_mm.mean(axis=0)
     spread = (patch_mm - middle)[:, :2]
@@ -258,7 +260,7 @@ def _turned(hold: Hold) -> Array:
 
 
 def reaching(pose: Array, surface_mm: Array, middle_mm: Array, nearest_mm: float) -> Array:
-    """Move a pose along z until what lies over the gel reaches that depth of the sensor frame."""
+    """Move a pose along z until the part over the gel reaches the given z of the sensor frame."""
     placed = surface_mm @ pose[:3, :3].T + pose[:3, 3]
     over = np.all(np.abs(placed[:, :2] - middle_mm[:2]) < _GEL_HALF_MM, axis=1)
     pose[2, 3] += nearest_mm - placed[over, 2].min()

@@ -1,9 +1,9 @@
-"""A hole that fits a part's end, and whether the part at a pose goes in.
+"""A hole for a part's end, and the test whether the part goes in from a given pose.
 
-The hole's frame is the part's own frame where it stands ideally inserted: z along the hole, into it. The hole is the
-part's inserted end, hulled and widened: upright walls, no chamfer, both rigid. A part that is lowered along z in the
-posture in which it arrived, without turning or shifting, goes in if and only if all of it that is below the mouth at
-the end lies between the walls: what was below the mouth before is a part of that.
+The hole's frame is the part's frame at the ideal inserted pose, with z along the hole, into it. The hole is the widened
+convex hull of the part's inserted end, with vertical walls and without chamfer; both are rigid. The part is lowered
+along z without rotation or lateral motion. It goes in if and only if everything below the mouth at the end lies between
+the walls; what is below the mouth earlier is a subset of that.
 """
 
 from __future__ import annotations
@@ -28,29 +28,29 @@ __all__ = ["Hole", "InsertedEnd"]
 
 Array = npt.NDArray[np.float64]
 
-#: What is farther from the walls of its own hole meets them last.
+#: Points farther from the walls than this are ignored, because others meet the walls first.
 _NEAR_MM = 0.75
-#: Walls whose normals agree within this are one: a section has points along its edges, and round-off bends these.
+#: Walls with normals within this tolerance are merged: a section has points along its edges, which round-off displaces.
 _SAME_WALL_RAD = 1e-4
 
 
 @dataclass(frozen=True)
 class InsertedEnd:
-    """The part's surface, as far as a hole needs it, in the part's frame, mm."""
+    """The part of the surface that matters for a hole, part frame, mm."""
 
     vertices_mm: Array
-    #: (E, 2) vertices that an edge joins.
+    #: (E, 2) vertex indices of each edge.
     edges: npt.NDArray[np.int64]
 
     @classmethod
     def of(cls, mesh: trimesh.Trimesh) -> InsertedEnd:
-        """Take the vertices and edges of a mesh whose end towards +z is inserted."""
+        """Extract vertices and edges of a mesh whose end towards +z is inserted."""
         return cls(np.asarray(mesh.vertices, np.float64), np.asarray(mesh.edges_unique, np.int64))
 
     def below(self, mouth_mm: float, t_hole_object: Array) -> Array:
-        """Points whose hull is that of the part beyond the plane z = `mouth_mm` of the hole's frame, (N, 3) mm.
+        """Points with the same convex hull as the part beyond the plane z = `mouth_mm` of the hole's frame, (N, 3) mm.
 
-        They are the vertices there, and where edges pass the plane.
+        They are the vertices beyond the plane, and the intersections of edges with it.
         """
         placed = self.vertices_mm @ t_hole_object[:3, :3].T + t_hole_object[:3, 3]
         height = placed[:, 2] - mouth_mm
@@ -68,13 +68,13 @@ class Hole:
     normals: Array
     #: (K,) distances of the walls from the origin along them, mm.
     offsets_mm: Array
-    #: Where the part's tip stands when it is in, and the mouth, z in the hole's frame, mm.
+    #: z of the part's tip when inserted, and of the mouth, hole's frame, mm.
     tip_mm: float
     mouth_mm: float
 
     @classmethod
     def around(cls, end: InsertedEnd, depth_mm: float, clearance_mm: float) -> Hole:
-        """Make the hole for `depth_mm` of a part's end; `clearance_mm` is what its width has over the part's.
+        """Create the hole for `depth_mm` of a part's end; `clearance_mm` is the hole's width minus the part's.
 
         Raises
         ------
@@ -100,9 +100,9 @@ class Hole:
         return cls(normals, offsets, tip_mm, tip_mm - depth_mm)
 
     def room_mm(self, end: InsertedEnd, t_hole_object: Array) -> float:
-        """Least distance of the inserted part from the walls, mm; below 0 it does not go in.
+        """Minimum clearance of the inserted part to the walls, mm; below 0 it does not go in.
 
-        The part is lowered until its tip is as deep as the hole: how high it stood before plays no part.
+        The part is lowered until its tip is as deep as the hole, so its initial height does not matter.
         """
         lowered = np.array(t_hole_object, np.float64)
         placed = end.vertices_mm @ lowered[2, :3] + lowered[2, 3]
@@ -111,15 +111,15 @@ class Hole:
         return float(np.min(self.offsets_mm - np.max(points @ self.normals.T, axis=0)))
 
     def rooms_mm(self, end: InsertedEnd, motions: Array) -> Array:
-        """`room_mm` of many motions of the inserted part, (S, 4, 4), none of them large but about or along z; (S,) mm.
+        """`room_mm` of many motions of the inserted part, (S, 4, 4), small except about and along z; (S,) mm.
 
-        Only what lies near the walls when the part is in place is looked at: a motion that brings anything else to a
-        wall brings these through it.
+        Only points near the walls at the inserted pose are checked. A motion that brings any other point to a wall
+        moves these points through it.
         """
         points = end.below(self.mouth_mm, np.eye(4))
         room = np.min(self.offsets_mm - points[:, :2] @ self.normals.T, axis=1)
         near = points[room < _NEAR_MM]
-        # What is farthest along a wall's normal is a corner of the points' hull, however they are moved.
+        # The farthest point along a wall's normal is a vertex of the convex hull, for every motion.
         near = near[ConvexHull(near).vertices]
         x, y = (near @ motions[:, axis, :3].T + motions[:, axis, 3] for axis in (0, 1))
         rooms, along, across = np.full(len(motions), np.inf), np.empty_like(x), np.empty_like(x)

@@ -1,13 +1,13 @@
-"""Further looks at a part whose first look does not tell enough: how the hand takes it again, and what that tells.
+"""Further looks at a part whose first look is not sufficient: choice of the next grasp, and fusion of the results.
 
-The first grasp is made while the part still stands in its holder. Where the chance of insertion is too low, the hand
-opens, moves by a known amount, and closes on the standing part again. The look is chosen by what is unknown. Every
-grasp that the part and its holder allow is predicted: the gel is pressed in the simulator as the robot's model, the
-heights of the markers that touch are joined with what is believed so far, and the grasp with the highest chance of
-insertion is made. A turn onto the next face of a peg tells by heights what its first face left to the edges.
+The first grasp is made while the part still stands in its holder. If the chance of insertion is too low, the hand
+opens, moves by a known amount, and closes on the standing part again. The next grasp is selected to reduce the
+uncertainty most. Every grasp that the part and its holder allow is predicted with the simulator as the robot's model,
+and the heights of markers in contact are fused with the present belief. The grasp with the highest expected chance of
+insertion is made. For example, heights on the next face of a peg determine what its first face leaves to the edges.
 
-Between two looks the part may move in its holder, the arm repeats its poses with an error, and the fingers' place
-along the closing direction is known with an error. `Cell` states their sum.
+Between two looks the part may move in its holder, the arm has a repeatability error, and the fingers' position along
+the closing direction is uncertain. `Cell` states their sum.
 """
 
 from __future__ import annotations
@@ -31,27 +31,27 @@ __all__ = ["CELL", "MAX_LOOKS", "MIN_CHANCE", "Cell", "Look", "Regrasp", "look_u
 
 Array = npt.NDArray[np.float64]
 
-#: The robot inserts when success is at least so probable: as often as it is meant to succeed.
+#: Minimum probability of success for an insertion: the intended success rate.
 MIN_CHANCE = 0.99
-#: Looks at one part, the first included.
+#: Maximum number of looks at one part, including the first.
 MAX_LOOKS = 3
-#: Turns of the hand in the gel's plane: to either side of a row, where edges cross the rows of markers.
+#: Rotations of the hand in the gel's plane, to both sides of a row, so that edges cross the rows of markers.
 _PITCHES_RAD = (-0.2, 0.2)
-#: What a marker in contact is known to along the gel's normal, mm.
+#: Standard deviation of a marker in contact along the gel's normal, mm.
 _MARKER_SIGMA_MM = 0.0055
 
 
 @dataclass(frozen=True)
 class Cell:
-    """What the robot's cell adds between two looks at a standing part: standard deviations of every component."""
+    """Uncertainty added by the robot's cell between two looks at a standing part: standard deviations per component."""
 
-    #: As arms of this size repeat a pose: 0.03 mm is a UR5e's by ISO 9283.
+    #: Repeatability of arms of this size: 0.03 mm is that of a UR5e by ISO 9283.
     shift_mm: float = 0.03
-    #: About the middle of the grasp.
+    #: Rotation about the middle of the grasp.
     turn_rad: float = 0.001
 
     def draw(self, point_mm: Array, random: np.random.Generator) -> Array:
-        """Draw a motion (ω, v) of the part, in its own frame, whose turn is about a point of that frame, (3,) mm."""
+        """Draw a motion (ω, v) of the part, in its own frame, that rotates about a point of that frame, (3,) mm."""
         return self._carry(point_mm) @ (self._sigma * random.normal(size=6))
 
     def covariance(self, point_mm: Array) -> Array:
@@ -76,9 +76,9 @@ CELL = Cell()
 
 @dataclass(frozen=True)
 class Regrasp:
-    """How the hand takes a standing part again."""
+    """A further grasp of a standing part."""
 
-    #: About the part's own axis, from the grasp before.
+    #: Rotation about the part's axis, from the previous grasp.
     turn_rad: float
     #: As in `Hold`.
     pitch_rad: float
@@ -87,18 +87,18 @@ class Regrasp:
 
 @dataclass(frozen=True)
 class Look:
-    """One look at the part: where it truly was in the hand, and what was believed after it."""
+    """One look at the part: its true pose in the hand, and the belief after the look."""
 
     t_sensor_object: Array
     belief: Belief
-    #: Of the belief; before the part is inserted by it.
+    #: Predicted chance of insertion with the belief.
     chance: float
-    #: How the hand got there; the first look has none.
+    #: The regrasp that led here; None for the first look.
     regrasp: Regrasp | None = None
 
 
 def regrasps(place: Workplace, belief: Belief) -> list[tuple[Regrasp, Array]]:
-    """Grasps of the standing part that are possible now, and the pose in the sensor that each is to bring, (4, 4)."""
+    """Possible grasps of the standing part, and the intended pose in the sensor of each, (4, 4)."""
     now = Hold.of_pose(belief.t_sensor_object)
     found = []
     for turn_rad in place.part.again_rad:
@@ -114,9 +114,10 @@ def regrasps(place: Workplace, belief: Belief) -> list[tuple[Regrasp, Array]]:
 def look_until_known(
     place: Workplace, method: Method, first: Look, others: Sequence[Belief], seed: int, cell: Cell = CELL
 ) -> list[Look]:
-    """Look again until the chance reaches `MIN_CHANCE`, `MAX_LOOKS` times at most; all looks, the first included.
+    """Look again until the chance reaches `MIN_CHANCE`, at most `MAX_LOOKS` times; returns all looks, including the
+    first.
 
-    `others` are the beliefs that the goal was taught by. A grasp in which the part is not found ends the search.
+    `others` are the beliefs from teaching the goal. A grasp in which the part is not found ends the search.
     """
     looks = [first]
     while looks[-1].chance < MIN_CHANCE and len(looks) < MAX_LOOKS:
@@ -132,7 +133,7 @@ def look_until_known(
 def chance_of(
     place: Workplace, belief: Belief, others: Sequence[Belief], random: np.random.Generator
 ) -> float:
-    """Chance that the part goes in by a goal that was taught by other beliefs, or is known exactly."""
+    """Chance of insertion at a goal taught by other beliefs, or known exactly."""
     motions = belief.draw(random, SAMPLES)
     if others:
         motions = motions - drawn(others, random, SAMPLES)
@@ -142,7 +143,7 @@ def chance_of(
 def _best(
     place: Workplace, belief: Belief, others: Sequence[Belief], cell: Cell, random: np.random.Generator
 ) -> tuple[Regrasp, Array]:
-    """Choose the grasp after which the chance is expected to be the highest; the least turn of those alike."""
+    """Choose the grasp with the highest expected chance; on ties, the smallest rotation."""
     seed = int(random.integers(2**31))
     taught = sum((b.covariance for b in others), np.zeros((6, 6))) / max(len(others), 1) ** 2
     possible = regrasps(place, belief)
@@ -157,12 +158,12 @@ def _best(
 
 
 def _expected(place: Workplace, belief: Belief, goal: Array, moved: Array) -> Array:
-    """Covariance of the part's pose, in its own frame, (6, 6), after a look at it where it is to be."""
+    """Expected covariance of the part's pose, in its own frame, (6, 6), after a look at its intended pose."""
     contact = place.simulator.press(goal)
     points_mm = contact.points_mm[contact.in_contact]
     covariance = np.tile(_MARKER_SIGMA_MM**2 * np.eye(3), (len(points_mm), 1, 1))
     if place.is_ridged:
-        # Which of two faces a row beside an edge lies on is what is unknown: one face counts.
+        # It is ambiguous which of two faces a row of markers beside an edge lies on, so only one face counts.
         carry = adjoint(goal)
         heights = carry.T @ place.faces.information(goal, points_mm, covariance) @ carry
     else:
@@ -172,7 +173,7 @@ def _expected(place: Workplace, belief: Belief, goal: Array, moved: Array) -> Ar
 
 
 def _held_at(place: Workplace, regrasp: Regrasp) -> Array:
-    """Point of the part's axis that lies in the middle of the hand, in the part's frame, (3,) mm."""
+    """Point of the part's axis at the middle of the hand, part frame, (3,) mm."""
     return np.array([0.0, 0.0, place.hole.tip_mm - regrasp.held_mm])
 
 
@@ -186,17 +187,17 @@ def _again(
     cell: Cell,
     random: np.random.Generator,
 ) -> Look:
-    """Take the part again, and fuse what that tells with what was believed.
+    """Grasp the part again, and fuse the result with the previous belief.
 
-    The hand goes where the believed part would be at `goal`; its fingers then close until they have pressed the part in
-    as far as their force has it.
+    The hand moves so that the part, according to the belief, would be at `goal`. The fingers then close until the part
+    is pressed in to the depth given by their force.
     """
     at = _held_at(place, regrasp)
     t_new_old = goal @ np.linalg.inv(last.belief.t_sensor_object)
     stood = t_new_old @ last.t_sensor_object @ np.asarray(se3_exp(cell.draw(at, random)))
     press_mm = float(random.uniform(*RANGES.press_mm))
     truth = place.reached(stood, press_mm)
-    # The fingers' place is known to as much as `Cell` says.
+    # The uncertainty of the fingers' position is included in `Cell`.
     t_new_old[2, 3] += truth[2, 3] - stood[2, 3]
     before = last.belief.moved(t_new_old, cell.covariance(at))
     seed = int(random.integers(2**40))

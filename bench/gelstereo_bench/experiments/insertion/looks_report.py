@@ -1,4 +1,4 @@
-"""The report's part on further looks: how many grasps are attempted with them, what of these goes in, and the time."""
+"""The report's section on further looks: attempted grasps, success, and time."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ __all__ = ["PACE", "Pace", "looks_blocks", "part_name", "share_text"]
 
 @dataclass(frozen=True)
 class Pace:
-    """How fast the hand takes a part again; a slow arm and a slow hand."""
+    """Speeds of a regrasp; those of a slow arm and a slow hand."""
 
-    #: Fingers open and close by so much, each.
+    #: Travel of each finger while opening and closing.
     opening_mm: float = 10.0
     finger_mm_s: float = 50.0
-    #: The hand rises over the part and comes down again.
+    #: Distance that the hand rises over the part, and comes down again.
     lift_mm: float = 30.0
     arm_mm_s: float = 100.0
     wrist_rad_s: float = 1.0
-    #: From the first touch to the full press.
+    #: Travel from first touch to full indentation.
     press_s: float = 4.0 / 30.0
 
     def regrasp_s(self, regrasp: Regrasp) -> float:
@@ -37,24 +37,24 @@ class Pace:
         return fingers_s + arm_s + abs(regrasp.turn_rad) / self.wrist_rad_s + self.press_s
 
 
-#: The pace of the report.
+#: Speeds used in the report.
 PACE = Pace()
 
 
 def part_name(letter: str) -> str:
-    """Name a part as the report does."""
+    """Name of a part in the report."""
     return f"({letter}) {GRASPED[letter].name.replace('_', ' ')}"
 
 
 def share_text(chosen: Sequence[Verdict]) -> str:
-    """Write the share that goes in with its 95 % interval, in per cent; a dash of none."""
+    """Success rate with its 95 % interval, in per cent; a dash without grasps."""
     if not chosen:
         return "-"
     return _percent(sum(v.inserted for v in chosen), len(chosen))
 
 
 def looks_blocks(ours: Sequence[Verdict], letters: Sequence[str]) -> list[Block]:
-    """Make tables of the looks after the first."""
+    """Create tables of the looks after the first."""
     rows, kinds = [], []
     for letter in (*letters, None):
         chosen = [v for v in ours if letter in (None, v.part)]
@@ -113,7 +113,7 @@ def _attempts(chosen: Sequence[Verdict]) -> list[str]:
 
 
 def _regrasps(name: str, chosen: Sequence[Verdict]) -> list[list[str]]:
-    """Rows of how often every turn was chosen, and how often that was enough."""
+    """Rows with the number of times each rotation was chosen, and how often it was sufficient."""
     looks = [look for v in chosen for look in v.further if look.regrasp is not None]
     turns = Counter(round(np.rad2deg(look.regrasp.turn_rad)) for look in looks if look.regrasp)
     reached = Counter(round(np.rad2deg(look.regrasp.turn_rad)) for look in looks if look.regrasp and look.go)

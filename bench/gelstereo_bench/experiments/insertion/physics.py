@@ -1,8 +1,8 @@
 """The insertion as contact physics (MuJoCo, extra ``physics``): a check of the geometric verdict on a sample.
 
-The part's end is one convex body in a compliant hand: springs and dampers in all six directions, for the gel. A drive
-lowers the hand; it stops when the hand pushes harder than the force stop, which stands for the paper's stop by marker
-motion. The hole's walls are boxes. Without a force stop nearly everything "inserts".
+The part's end is one convex body in a compliant hand, with springs and dampers in all six directions for the gel. A
+drive lowers the hand, and stops when the force exceeds a limit, which represents the paper's stop by marker motion. The
+hole's walls are boxes. Without the force limit nearly everything "inserts".
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Array = npt.NDArray[np.float64]
 
 _M = 1e-3
 _WALL_MM = 4.0
-#: A round hole is a polygon of so many walls: its corners are 0.1 % farther out than its sides.
+#: Number of walls of the polygon for a round hole; its corners are 0.1 % farther out than its sides.
 _MAX_WALLS = 64
 _ABOVE_MM = 1.0
 _SPEED_MM_S = 20.0
@@ -34,10 +34,11 @@ _DAMPING_NMS_PER_RAD = 1e-3
 
 @dataclass(frozen=True)
 class Hand:
-    """How the part is held, how it is driven, and how time is cut up.
+    """Compliance of the hand, drive, and time step.
 
-    The springs are of a contact of 100 mm2 on 5 mm of gel with a shear modulus of 70 kPa: G A / t across it, and that
-    at an arm of 5 mm for turns. Every direction has the same, the stiffer ones too: the softest guess.
+    Stiffnesses are those of a contact of 100 mm2 on 5 mm of gel with a shear modulus of 70 kPa: G A / t in shear, and
+    the same at a lever arm of 5 mm for rotation. Stiffer directions have the same value, which is the softest
+    assumption.
     """
 
     stiffness_n_per_mm: float = 1.4
@@ -47,7 +48,7 @@ class Hand:
     step_s: float = 2.5e-4
 
     def times(self, compliance: float) -> Hand:
-        """So many times as compliant."""
+        """A hand with its compliance multiplied by a factor."""
         return Hand(
             self.stiffness_n_per_mm / compliance,
             self.stiffness_nmm_per_rad / compliance,
@@ -58,23 +59,23 @@ class Hand:
 
 
 def descend(hole: Hole, end: InsertedEnd, t_hole_object: Array, hand: Hand, held_mm: float) -> float:
-    """Lower a part from above the mouth until it is in or the force stop acts; its tip's depth, mm.
+    """Lower a part from above the mouth until it is in or the force limit stops it; returns the tip's depth, mm.
 
     Parameters
     ----------
     hole, end
         The hole, and the part's end that goes in.
     t_hole_object
-        The part's pose over the hole when it has been aligned, (4, 4); its height plays no part.
+        The part's pose over the hole after alignment, (4, 4); its height does not matter.
     hand
         Compliance, drive and time step (at most 0.5 ms).
     held_mm
-        How far behind its tip the part is held: it yields about that point.
+        Distance from the tip to where the part is held; it rotates about that point.
 
     Returns
     -------
     float
-        Depth of the part's deepest point below the mouth; that of the hole when it is in.
+        Depth of the part's deepest point below the mouth; equals the hole's depth if inserted.
     """
     with needs(__name__):
         import mujoco
@@ -95,7 +96,7 @@ def descend(hole: Hole, end: InsertedEnd, t_hole_object: Array, hand: Hand, held
 
 
 def _scene(hole: Hole, points_mm: Array, t_hole_object: Array, hand: Hand, held_mm: float) -> str:
-    """MuJoCo's description: metres, the mouth at z = 0, z into the hole; the part's body sits where it is held."""
+    """MuJoCo model: metres, the mouth at z = 0, z into the hole; the origin of the part's body is where it is held."""
     rotation = t_hole_object[:3, :3]
     at_mm = rotation @ [0.0, 0.0, hole.tip_mm - held_mm] + t_hole_object[:3, 3]
     at_mm[2] = -_ABOVE_MM - (points_mm @ rotation.T)[:, 2].max()
@@ -134,7 +135,7 @@ def _scene(hole: Hole, points_mm: Array, t_hole_object: Array, hand: Hand, held_
 
 
 def _walls(hole: Hole) -> str:
-    """Boxes whose inner faces are the hole's walls."""
+    """Boxes with the hole's walls as inner faces."""
     chosen = np.unique(np.linspace(0, len(hole.offsets_mm) - 1, _MAX_WALLS).round().astype(int))
     if len(hole.offsets_mm) <= _MAX_WALLS:
         chosen = np.arange(len(hole.offsets_mm))

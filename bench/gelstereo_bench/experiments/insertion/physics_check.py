@@ -1,8 +1,8 @@
-"""Geometric verdicts against contact physics, on a sample of poses, with what the time step, the gel's compliance and
-the force stop change.
+"""Geometric verdicts against contact physics on a sample of poses, and the effect of time step, compliance and force
+limit.
 
-A trial is a direction in which a part stands off over its hole. Along it the part goes in up to some distance: by
-geometry, and by physics with every hand. Such limits show small changes that a share of verdicts hides.
+A trial is a direction of pose error over the hole. The largest error with a successful insertion is determined by
+geometry, and by physics with every hand. These limits show small changes that a share of verdicts would hide.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ Array = npt.NDArray[np.float64]
 #: Directions for each part.
 _REPEATS = 8
 
-#: Settings by name: what differs from the default hand, with steps of at max_distance 0.5 ms.
+#: Settings by name: differences from the default hand, with steps of at most 0.5 ms.
 _HANDS = {
     "as it is": Hand(),
     "half the time step": Hand(step_s=0.5 * Hand().step_s),
@@ -41,11 +41,11 @@ _HANDS = {
     "twice the force stop": replace(Hand(), force_stop_n=2.0 * Hand().force_stop_n),
 }
 
-#: A part stands off in all six directions, in proportion to these; the limit of geometry is within so many times that.
+#: Units of rotation and translation of a pose error, and upper limit of the error in these units.
 _TURN_RAD, _SHIFT_MM, _MAX_UNITS = 0.02, 0.5, 16.0
-#: Limits of physics are looked for up to so many times that of geometry, by so many halvings.
-_MOST, _HALVINGS = 8.0, 7
-#: Where the parts are held behind their tips, and how far from the bottom a part still counts as in.
+#: Upper limit of the search with physics, relative to geometry's limit, and number of bisections.
+_MAX_RATIO, _HALVINGS = 8.0, 7
+#: Distance from the tip to where parts are held, and largest distance from the bottom of an inserted part.
 _HELD_MM, _IN_MM = 25.0, 0.5
 
 
@@ -58,7 +58,7 @@ def inputs() -> dict[str, str]:
 
 
 def trials(repeats: int, seed: int) -> Sequence[Trial]:
-    """Directions over the holes."""
+    """One trial for each direction and hole."""
     return [
         Trial({"part": letter, "pose": pose}, keyed_seed(seed, "physics", letter, pose))
         for letter in GRASPED
@@ -67,9 +67,10 @@ def trials(repeats: int, seed: int) -> Sequence[Trial]:
 
 
 def limit(goes_in: Callable[[float], bool], max_distance: float, halvings: int) -> float:
-    """How far off something still goes in, by bisection to `max_distance` / 2^`halvings`: `max_distance` if it always does.
+    """Largest distance with success, by bisection to `max_distance` / 2^`halvings`; `max_distance` if it always
+    succeeds.
 
-    What goes in farther out than where something else did not is not looked for.
+    Success is assumed to be monotonic in the distance.
     """
     if goes_in(max_distance):
         return max_distance
@@ -81,10 +82,10 @@ def limit(goes_in: Callable[[float], bool], max_distance: float, halvings: int) 
 
 
 def run(configuration: Configuration, seed: int) -> Record:
-    """Find how far a part may stand off in one direction: ``geometry``, in units of `_TURN_RAD` and `_SHIFT_MM`, and by
-    hand ``physics``, over that.
+    """Find the limits of the pose error in one direction: ``geometry``, in units of `_TURN_RAD` and `_SHIFT_MM`, and
+    ``physics`` by hand, relative to that.
 
-    ``depths_mm`` are those by hand at the limit of geometry: where it lets the part in, physics should too.
+    ``depths_mm`` are the depths by hand at geometry's limit. Where geometry lets the part in, physics should too.
     """
     fit = fit_of(configuration["part"])
     random = np.random.default_rng(seed)
@@ -100,12 +101,12 @@ def run(configuration: Configuration, seed: int) -> Record:
     return {
         "geometry": geometry,
         "depths_mm": {name: round(depth_mm(hand, 1.0), 6) for name, hand in _HANDS.items()},
-        "physics": {name: limit(lands(hand), _MOST, _HALVINGS) for name, hand in _HANDS.items()},
+        "physics": {name: limit(lands(hand), _MAX_RATIO, _HALVINGS) for name, hand in _HANDS.items()},
     }
 
 
 def _off(fit: Fit, twist: Array) -> Array:
-    """A pose off the ideal, about the middle of the hole: the part's origin is far from it."""
+    """A pose with an error about the middle of the hole, because the part's origin is far from it."""
     about = np.eye(4)
     about[2, 3] = 0.5 * (fit.hole.tip_mm + fit.hole.mouth_mm)
     return np.asarray(about @ np.asarray(se3_exp(twist)) @ np.linalg.inv(about))
@@ -118,7 +119,7 @@ _ASKED = (
 )
 _CONDITIONS = (
     f"simulated (MuJoCo); directions drawn with standard deviations of {_TURN_RAD} rad and {_SHIFT_MM} mm; limits are "
-    f"looked for up to {_MOST} times that of geometry, to {_MOST / 2**_HALVINGS}; a part is in from {_IN_MM} mm above "
+    f"looked for up to {_MAX_RATIO} times that of geometry, to {_MAX_RATIO / 2**_HALVINGS}; a part is in from {_IN_MM} mm above "
     f"the bottom on; time step {1e3 * Hand().step_s} ms, force stop {Hand().force_stop_n} N, "
     f"{Hand().stiffness_n_per_mm} N/mm"
 )
@@ -153,7 +154,7 @@ def report(trials: Sequence[Trial], records: Sequence[Record], given: Mapping[st
 
 
 def _limits(of_parts: Mapping[str, Sequence[Record]]) -> bytes:
-    """Box plots of every hand's limits."""
+    """Box plots of the limits by hand."""
     panels = {
         hand: {letter: [record["physics"][hand] for record in mine] for letter, mine in of_parts.items()}
         for hand in _HANDS

@@ -1,4 +1,4 @@
-"""The insertion's report: Tables II and III, go or no-go against what happened, robot errors, failures."""
+"""The insertion's report: Tables II and III, go or no-go against outcome, robot errors, failures."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from gelstereo_bench.frontier.scenes import CONDITIONS
 
 __all__ = ["insertion_report", "reason"]
 
-#: Every way a robot errs by itself: name, one unit of it, the unit's name, and the most that is tried.
+#: Each kind of robot error by itself: name, one unit, the unit's name, and the largest value tried.
 ERRORS = (
     ("sensor turned in the hand", RobotErrors(mount_rad=np.deg2rad(1.0)), "deg", 2.0),
     ("sensor shifted in the hand", RobotErrors(mount_mm=1.0), "mm", 1.0),
@@ -45,7 +45,7 @@ _ASKED = (
 
 
 def insertion_report(trials: Sequence[Trial], records: Sequence[Record], inputs: Mapping[str, str]) -> Report:
-    """Make tables and figures of the records."""
+    """Create tables and figures from the records."""
     found = analysis.verdicts(trials, records)
     fits = {letter: fit_of(letter) for letter in dict.fromkeys(v.part for v in found)}
     ours = [v for v in found if v.method == METHODS[-1].name]
@@ -70,7 +70,7 @@ def _of(found: Sequence[Verdict], letter: str | None = None, method: str | None 
     return [v for v in found if letter in (None, v.part) and method in (None, v.method)]
 
 
-#: What the paper's text says of its own robot (section VI-B): FilterReg over all, and both of its methods on the plug.
+#: Results of the paper's robot (section VI-B): FilterReg over all parts, and both methods on the plug.
 _PAPERS = (
     ("the paper's robot, (e) usb plug", 10, ("60.0", "", "20.0", "")),
     ("the paper's robot, all", 154, (f"{100 * PAPER_SHARE:.1f}", "", "", "")),
@@ -143,7 +143,7 @@ def _chances(ours: Sequence[Verdict], fits: Mapping[str, Fit]) -> list[Block]:
 
 
 def _bounds(trials: Sequence[Trial], records: Sequence[Record], fits: Mapping[str, Fit]) -> list[Block]:
-    """What contacts can tell, against what the holes allow."""
+    """Cramér-Rao bounds of the contacts, against the holes' tolerances."""
     by_part: dict[str, list[Record]] = {letter: [] for letter in fits}
     for trial, record in zip(trials, records, strict=True):
         by_part[trial.configuration["part"]].append(record["bound"])
@@ -176,7 +176,7 @@ def _bounds(trials: Sequence[Trial], records: Sequence[Record], fits: Mapping[st
 
 
 def _sides(fits: Mapping[str, Fit]) -> list[Block]:
-    """How what can be told of the irregular part depends on the side that lies on the gel."""
+    """Bound of the irregular part by the side that lies on the gel."""
     if "c" not in fits:
         return []
     place = workplace("c")
@@ -202,7 +202,7 @@ def _sides(fits: Mapping[str, Fit]) -> list[Block]:
     return [Grid(caption, head, rows)]
 
 
-#: Sides of the irregular part that are looked at, and what a marker is known to along the gel's normal.
+#: Number of sides of the irregular part examined, and standard deviation of a marker along the gel's normal.
 _SIDES, _MARKER_SIGMA_MM = 16, 0.0055
 
 
@@ -212,11 +212,11 @@ def _spread(values: Sequence[float], digits: int) -> str:
 
 
 def reason(verdict: Verdict) -> str:
-    """Why the robot refuses: the motion that is known least of those that matter, and whether it is free."""
+    """Reason why the robot declines: the least certain motion that matters, and whether it is free."""
     if verdict.refused is not None:
         return verdict.refused
     motion = f"{verdict.weakest.partition(',')[0]} is known too little"
-    # Without the place, so that equal ones are counted together.
+    # Without the position, so that equal reasons are counted together.
     free = " and ".join(free.partition(" through ")[0] for free in verdict.matters)
     return f"{motion} (no face tells {free})" if free else motion
 
@@ -261,7 +261,7 @@ def _range(chosen: Sequence[Verdict], angle: str) -> str:
 def _robots(ours: Sequence[Verdict], fits: dict[str, Fit]) -> list[Block]:
     """Errors of the robot and of the coordinate transforms."""
     go = [v for v in ours if v.go]
-    # Of all parts: they come one after the other.
+    # Sampled over all parts, which follow one another.
     go = go[:: -(-len(go) // _MAX_SWEPT) or 1]
     if not go:
         return []
@@ -291,12 +291,14 @@ def _robots(ours: Sequence[Verdict], fits: dict[str, Fit]) -> list[Block]:
     ]
 
 
-#: Grasps in the sweeps of robot errors, at most.
+#: Maximum number of grasps in the sweeps of robot errors.
 _MAX_SWEPT = 100
 
 
 def _failures(found: Sequence[Verdict], fits: Mapping[str, Fit]) -> list[Block]:
-    """Fig. 15: for every method and part the failure that is nearest to going in, and what share has its cause."""
+    """Fig. 15: for every method and part, the failure closest to success, and the share of failures with the same
+    cause.
+    """
     blocks: list[Block] = [
         Heading("Failures (Fig. 15)"),
         Paragraph("Of every method and part the failure with the median distance from going in."),

@@ -1,9 +1,9 @@
-"""Where a robot puts the part: ideal, or with errors of the coordinate transforms and of the motion.
+"""Pose to which a robot moves the part: exact, or with errors of the coordinate transforms and of the motion.
 
-A robot learned the hole from a grasp over it: the part's true pose in the sensor was Y, and Ŷ was found. Now the part
-is held at X and found at X̂. The robot moves so that what it finds would stand as it stood then, and brings the part to
-Y⁻¹ Ŷ X̂⁻¹ X in the hole's frame. A sensor that sits otherwise in the hand than the robot believes, by ε, makes that
-Y⁻¹ exp(-ε) Ŷ X̂⁻¹ exp(ε) X: it matters only as far as the robot has to turn the part, which is what the paper saw
+The robot was taught the hole by a grasp over it: the true pose of the part in the sensor was Y, and the estimate Ŷ. Now
+the true pose is X and the estimate X̂. The robot moves so that the estimated part would be where it was during
+teaching, and brings the part to Y⁻¹ Ŷ X̂⁻¹ X in the hole's frame. An error ε of the sensor's pose in the hand changes
+that to Y⁻¹ exp(-ε) Ŷ X̂⁻¹ exp(ε) X. It matters only as far as the robot rotates the part, as the paper observed
 (section VI-B).
 """
 
@@ -23,23 +23,23 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class RobotErrors:
-    """Standard deviations, each of every component."""
+    """Standard deviations per component."""
 
-    #: Of the sensor's pose in the hand: drawn once for a robot.
+    #: Error of the sensor's pose in the hand, drawn once per robot.
     mount_rad: float = 0.0
     mount_mm: float = 0.0
-    #: Of each motion.
+    #: Error of each motion.
     motion_rad: float = 0.0
     motion_mm: float = 0.0
 
     def times(self, scale: float) -> RobotErrors:
-        """All of them so many times as large."""
+        """All errors multiplied by a factor."""
         return RobotErrors(
             self.mount_rad * scale, self.mount_mm * scale, self.motion_rad * scale, self.motion_mm * scale
         )
 
     def draw(self, robot: int, trial: int) -> tuple[Array, Array]:
-        """Mount's and motion's error, twists (ω, v), for a robot and one of its trials."""
+        """Draw the errors of mount and motion, twists (ω, v), for a robot and one of its trials."""
         mount = np.random.default_rng([robot, 83]).normal(size=6)
         motion = np.random.default_rng([robot, trial, 89]).normal(size=6)
         return (
@@ -56,7 +56,7 @@ def over_hole(
     motion: Array | None = None,
     about_mm: Array | None = None,
 ) -> Array:
-    """Pose of the part in the hole's frame when the robot has aligned it; the identity is ideal.
+    """Pose of the part in the hole's frame after alignment by the robot; ideally the identity.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def over_hole(
         Errors, twists (ω, v): of the sensor's pose in the hand, in the sensor's frame about `about_mm`; and of the
         motion, in the hole's frame.
     about_mm
-        Point of the sensor's frame that `mount` turns about; the frame's origin if left out.
+        Point of the sensor's frame about which `mount` rotates. Default: the frame's origin.
     """
     slip = np.eye(4)
     if mount is not None:

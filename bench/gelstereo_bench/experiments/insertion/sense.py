@@ -1,4 +1,4 @@
-"""What a sensor and a method make of a grasp: sensed by a pipeline, registered by a rung."""
+"""Sensing and registration of a grasp: a pipeline preset and a registration rung."""
 
 from __future__ import annotations
 
@@ -30,22 +30,22 @@ __all__ = ["METHODS", "Found", "Method", "Registering", "Senses"]
 Array = npt.NDArray[np.float64]
 
 
-#: Of the grasp that is taught: a little, since rows of markers along an edge see it badly.
+#: Pitch of the taught grasp: a small angle, because rows of markers parallel to an edge locate it poorly.
 NOMINAL_PITCH_RAD = 0.1
 
 
 @dataclass(frozen=True)
 class Method:
-    """How images become a pose."""
+    """A method from images to a pose."""
 
     name: str
-    #: Preset that senses.
+    #: Preset of the pipeline.
     preset: str
-    #: Rung that registers.
+    #: Registration rung.
     register: str
-    #: Whether it tells which of several poses is the likeliest, and so may start from all guesses.
+    #: Whether it compares poses by likelihood, and so may start from all guesses.
     tries_all: bool = False
-    #: Pitches of the grasps over the hole that it is taught by; the paper teaches one (section V-A).
+    #: Pitches of the taught grasps over the hole; the paper teaches one (section V-A).
     taught_rad: tuple[float, ...] = (NOMINAL_PITCH_RAD,)
 
     def params(self) -> Params:
@@ -53,11 +53,11 @@ class Method:
         return Params.preset(self.preset).replace({"register.method": self.register})
 
     def near(self) -> Params:
-        """Settings of a search that is not wide."""
+        """Settings of a narrow search."""
         return self.params().replace({"register": {"start_sigma_mm": 0.5, "start_sigma_deg": 1.0}})
 
     def held(self, by_mm: float) -> Params:
-        """Settings that look near a guess only, which holds the pose by a prior of so many mm."""
+        """Settings that search only near a guess, with a prior of the given width, mm."""
         near = {
             "start_sigma_mm": by_mm,
             "start_sigma_deg": 5.0 * by_mm,
@@ -67,7 +67,7 @@ class Method:
         return self.params().replace({"register": near})
 
 
-#: The paper's two, on the paper's sensing, and ours.
+#: The paper's two methods, with the paper's sensing, and ours.
 METHODS = (
     Method("FilterReg, point to point", "paper", "filterreg_point"),
     Method("FilterReg, point to plane", "paper", "filterreg_plane"),
@@ -81,18 +81,18 @@ class Found:
     """A pose with its evidence; sensor frame, mm."""
 
     t_sensor_object: Array
-    #: (6, 6) of a left perturbation (ω, v) of the pose; singular along what is free.
+    #: (6, 6) information of a left perturbation (ω, v) of the pose; singular along free directions.
     information: Array
     converged: bool
     free: tuple[FreeDirection, ...]
     #: Centroid of the patch.
     centre_mm: Array
-    #: Of methods that try all.
+    #: For methods that try all guesses.
     log_likelihood: float
 
     @classmethod
     def of(cls, found: Localization, patch_mm: Array) -> Found:
-        """Keep what an insertion needs."""
+        """Extract the data for an insertion."""
         return cls(
             np.array(found.t_sensor_object),
             np.array(found.information),
@@ -103,7 +103,7 @@ class Found:
         )
 
     def moved(self, turn_rad: float, along_mm: float) -> Array:
-        """Pose of the part turned about the sensor's normal through the patch, and slid along its own axis, (4, 4)."""
+        """Pose (4, 4) of the part rotated about the sensor's normal through the patch and shifted along its axis."""
         turn = np.array(se3_exp([0.0, 0.0, turn_rad, 0.0, 0.0, 0.0]), np.float64)
         turn[:3, 3] = self.centre_mm - turn[:3, :3] @ self.centre_mm
         slid = np.array(self.t_sensor_object)
@@ -112,10 +112,10 @@ class Found:
 
 
 class Senses:
-    """Pipelines that know the sensor at rest, one for each preset."""
+    """Pipelines initialised with the sensor at rest, one for each preset."""
 
     def __init__(self, simulator: Simulator, presets: Iterable[str]) -> None:
-        """`simulator` shows the sensor; in its first frame nothing touches."""
+        """`simulator` is the sensor; nothing touches it in its first frame."""
         still = simulator.scene.replace({"indenter": None, "trajectory": []})
         self._rest = rest = Simulator(still)[0]
         self._pipelines: dict[str, tuple[Pipeline, RestRecord]] = {}
@@ -128,7 +128,7 @@ class Senses:
             self._pipelines[preset] = (pipeline, record)
 
     def sense(self, preset: str, grasp: Sequence[SimulatedFrame]) -> Frame:
-        """What a preset sees in the last frame of a grasp that follows the rest frame."""
+        """The last frame of a grasp after the rest frame, as sensed by a preset."""
         pipeline, record = self._pipelines[preset]
         pipeline.resume(record)
         for pair in (self._rest, *grasp[:-1]):
@@ -136,62 +136,62 @@ class Senses:
         return pipeline.process(grasp[-1].left, grasp[-1].right)
 
 
-#: Where a part may be instead of where it was found, by a search of the whole and by one of what is near: turns about
-#: the sensor's normal, rad, and slides along the part's axis, mm, as far as a hand may hold it from the guess.
+#: Alternative poses to try for a wide and for a narrow search: rotations about the sensor's normal, rad, and shifts
+#: along the part's axis, mm, within the range of possible holds.
 _WIDE = ((0.0, 0.0), (0.0, -3.0), (0.0, 3.0))
 _NEAR = ((-0.012, 0.0), (0.012, 0.0), (0.0, -2.0), (0.0, -1.0), (0.0, 1.0), (0.0, 2.0))
-#: By how much it has to be likelier there, in logarithms.
-_SURELY = 1.0
+#: Minimum gain of log likelihood for an alternative pose.
+_MIN_LOG_GAIN = 1.0
 
 
 @dataclass(frozen=True)
 class Registering:
-    """A method at work on a frame's contact patch."""
+    """A method applied to a frame's contact patch."""
 
     method: Method
     frame: Frame
     template: Template
 
     def found(self, guesses: Sequence[Array]) -> list[Found]:
-        """Register from the first guess, or from all of them; the likeliest pose comes first.
+        """Register from the first guess, or from all of them; returns poses in order of likelihood.
 
         Raises
         ------
         RegisterError
-            If there is too little of it.
+            If the patch has too few points.
         """
         params = self.method.params()
         tried = [self._from(guess, params) for guess in guesses[: None if self.method.tries_all else 1]]
         return sorted(tried, key=lambda found: -found.log_likelihood)
 
     def again(self, tried: Sequence[Found]) -> list[Found]:
-        """Register from about the best pose once more; the likeliest pose comes first, the others follow.
+        """Register again from poses around the best one; the likeliest pose comes first, the others follow.
 
-        An end of the part that the gel just reaches tells where along its axis it lies, and edges how it is turned,
-        both from close by only. Where nothing tells, the part stays where it was found: what is hardly likelier is
-        left out.
+        A part's end at the border of the gel determines its position along the axis, and edges determine its rotation,
+        but both only from a close start. Where neither is visible the part keeps its pose: alternatives that are only
+        slightly likelier are dropped.
         """
         found = list(tried)
         best, whole, near = tried[0], self.method.params(), self.method.near()
         for params, moves in ((whole, _WIDE), (near, _NEAR)):
             for turn_rad, along_mm in moves:
                 other = self._tried(best.moved(turn_rad, along_mm), params)
-                if other is not None and other.log_likelihood > found[0].log_likelihood + _SURELY:
+                if other is not None and other.log_likelihood > found[0].log_likelihood + _MIN_LOG_GAIN:
                     found.insert(0, other)
         return found
 
     def near(self, guess: Array) -> Found:
-        """Register from a guess that earlier looks make.
+        """Register from a guess by earlier looks.
 
         Raises
         ------
         RegisterError
-            If there is too little of it.
+            If the patch has too few points.
         """
         return self._from(guess, self.method.near())
 
     def held(self, guess: Array, by_mm: float) -> Found | None:
-        """Register close to a guess, `Method.held`; None if that leaves nothing to register."""
+        """Register close to a guess with `Method.held`; None if nothing remains to be registered."""
         return self._tried(guess, self.method.held(by_mm))
 
     def _tried(self, guess: Array, params: Params) -> Found | None:

@@ -1,4 +1,4 @@
-"""How a method learns where the part must go: grasps of the part that stands in the hole (section V-A of the paper)."""
+"""Teaching of the goal: grasps of the part that stands in the hole (section V-A of the paper)."""
 
 from __future__ import annotations
 
@@ -18,33 +18,33 @@ __all__ = ["Taught", "taught"]
 
 Array = npt.NDArray[np.float64]
 
-#: Seed of the grasps that are taught.
+#: Seed of the taught grasps.
 _SEED = 1
 
 
 @dataclass(frozen=True)
 class Taught:
-    """Grasps over the hole, from which a method learned where the part must go: truth, and what it believes of each."""
+    """Taught grasps over the hole: the true pose, and the method's belief about each."""
 
     t_sensor_object: Array
     beliefs: tuple[Belief, ...]
-    #: By how much the poses found differ from the true ones, a motion in the part's frame: their mean.
+    #: Mean error of the estimated poses, as a motion in the part's frame.
     error: Array
-    #: The least covariance of that, (6, 6), if heights are all that is read, of the first look of each.
+    #: Cramér-Rao bound of that error, (6, 6), from heights alone, with one look each.
     bound: Array
 
     @property
     def pair(self) -> tuple[Array, Array]:
-        """True and found pose, as `over_hole` wants them."""
+        """True and estimated pose, the input of `over_hole`."""
         return self.t_sensor_object, np.asarray(self.t_sensor_object @ np.asarray(se3_exp(self.error)))
 
 
 @lru_cache(maxsize=32)
 def taught(letter: str, method: Method) -> Taught:
-    """Teach a method the hole: the part is held in the middle, stands ideally over it, and is found by it.
+    """Teach a method the hole: the part is held in the middle, stands ideally over the hole, and is localized.
 
-    So often as the method is taught, every time turned otherwise among the markers: an edge that lies along a row of
-    them is known to a pitch only. A method that weighs poses looks again where one look does not tell enough.
+    Each taught grasp has another rotation relative to the markers, because an edge along a row of markers is determined
+    only to one pitch. A method that compares poses looks again if one look is not sufficient.
     """
     place = workplace(letter)
     errors, beliefs, bounds = [], [], []
@@ -67,7 +67,7 @@ def taught(letter: str, method: Method) -> Taught:
 
 
 def _looked(place: Workplace, method: Method, look: Look, number: int) -> Look:
-    """Look again until the pose is known well enough by itself."""
+    """Look again until the pose by itself is sufficiently certain."""
     if not method.tries_all:
         return look
     chance = chance_of(place, look.belief, (), np.random.default_rng([_SEED, 71, number]))

@@ -1,4 +1,4 @@
-"""One grasp, by every method: where the part lies, what is found, and whether it goes into the hole."""
+"""One grasp by every method: the part's pose, the estimates, and whether it goes into the hole."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ __all__ = ["run"]
 
 Array = npt.NDArray[np.float64]
 
-#: Seed of the frames of trial 0; those of the grasps that are taught come before.
+#: Seed of the frames of trial 0; lower seeds are those of the taught grasps.
 _FIRST = 2
 
 
 def run(configuration: Configuration, seed: int) -> Record:
-    """Grasp a part somewhere, find it by every method, and see whether it would go in.
+    """Grasp a part, localize it by every method, and test whether it would go in.
 
-    The record holds the grasp, the true pose, the ``bound`` of what the heights of the markers tell, and by method the
-    pose that is acted on, ``room_mm`` between part and walls (below 0 it does not go in), the ``chance`` predicted from
-    what is believed and of how many ``poses`` that is made (of a method that weighs poses; others predict nothing), the
-    directions that the contact's faces leave ``free`` and which of them ``matters``, and the ``weakest``
-    motion over the hole, all told; or ``refused``, why there is no pose. A method that weighs poses looks again where
-    its chance is too low: ``looks`` holds the same of all looks after the first, and how the hand got there.
+    The record has the grasp, the true pose and the Cramér-Rao ``bound`` from the markers' heights. For each method it
+    has the pose used for the insertion, ``room_mm`` between part and walls (below 0 it does not go in), the predicted
+    ``chance`` and the number of ``poses`` in the belief (only of methods that compare poses). It also has the ``free``
+    directions of the contact's faces, which of them ``matters``, and the ``weakest`` motion over the hole; or
+    ``refused``, the reason why there is no pose. A method that compares poses looks again if its chance is too low.
+    ``looks`` then has the same data for all looks after the first, and the regrasp of each.
     """
     place = workplace(configuration["part"])
     hold = Hold.drawn(place.part, RANGES, np.random.default_rng(seed))
@@ -60,7 +60,7 @@ def run(configuration: Configuration, seed: int) -> Record:
 
 
 def _judged(place: Workplace, method: Method, frame: Frame, t_sensor_object: Array, seed: int) -> Record:
-    """What one method finds, and what comes of it with a robot that moves exactly."""
+    """Result of one method, and of the insertion by a robot that moves exactly."""
     try:
         found, belief = place.find(method, frame, seed)
         goal = taught(place.part.letter, method)
@@ -81,7 +81,7 @@ def _judged(place: Workplace, method: Method, frame: Frame, t_sensor_object: Arr
 
 
 def _looked(place: Workplace, look: Look, goal: Taught) -> Record:
-    """What one look of a method that weighs poses brings."""
+    """Result of one look, for a method that compares poses."""
     record = {
         **_acted(place, look, goal),
         "chance": look.chance,
@@ -93,7 +93,7 @@ def _looked(place: Workplace, look: Look, goal: Taught) -> Record:
 
 
 def _acted(place: Workplace, look: Look, goal: Taught) -> Record:
-    """What comes of a robot that acts on a look."""
+    """Result of an insertion based on a look."""
     t_hole_object = over_hole(look.t_sensor_object, look.belief.t_sensor_object, goal.pair)
     covariance = look.belief.covariance + sum(b.covariance for b in goal.beliefs) / len(goal.beliefs) ** 2
     return {

@@ -1,4 +1,4 @@
-"""A part, its hole and the sensor: how fingers grasp the part, and what a method finds of it."""
+"""A part, its hole and the sensor: grasping the part, and localizing it."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ __all__ = ["PRIOR", "RANGES", "Workplace", "sensor_scene", "workplace"]
 
 Array = npt.NDArray[np.float64]
 
-#: Frames while the fingers close: at 30 a second, a press of 1 mm at 7 mm/s.
+#: Number of frames while the fingers close: at 30 Hz, an indentation of 1 mm at 7 mm/s.
 _CLOSING = 4
 
 
-#: Where parts may lie, and what is known of it before it is sensed.
+#: Ranges of parts' poses, and their prior.
 RANGES, PRIOR = GraspRanges(), Prior()
 
 
 def sensor_scene() -> Scene:
-    """Show the sensor that all parts are pressed on."""
+    """Scene of the sensor that all parts are pressed on."""
     return VGA.scene()
 
 
 class Workplace:
-    """A part, its hole and the sensor; the same for the same part."""
+    """A part, its hole and the sensor; identical for the same part."""
 
     def __init__(self, letter: str) -> None:
         self.fit = fit_of(letter)
@@ -60,13 +60,14 @@ class Workplace:
         self.nominal = Hold.nominal(self.part, RANGES)
 
     def lie(self, hold: Hold) -> Array:
-        """Pose of the part that is held so, (4, 4) t_sensor_object."""
+        """Pose of the part in this hold, (4, 4) t_sensor_object."""
         return lie(hold, np.asarray(self.template.points_mm), self.middle_mm, self.hole.tip_mm)
 
     def grasp(self, t_sensor_object: Array, press_mm: float, seed: int) -> list[SimulatedFrame]:
-        """Fingers that close on a part until it is there, having pressed it in so far: markers are followed by the way.
+        """Frames while the fingers close on a part up to a pose and an indentation depth, so that markers can be
+        tracked.
 
-        Frames of a seed have numbers of their own, and noise with these.
+        Frame numbers depend on the seed, and the noise on the frame number.
         """
         frames = []
         for step in range(1, _CLOSING + 1):
@@ -76,16 +77,16 @@ class Workplace:
         return frames
 
     def reached(self, t_sensor_object: Array, press_mm: float) -> Array:
-        """Pose of the part, (4, 4), when fingers that close on it along the gel's normal have pressed it in so far."""
+        """Pose of the part, (4, 4), after fingers that close along the gel's normal have pressed it in to a depth."""
         points = np.asarray(self.template.points_mm)
         return reaching(t_sensor_object, points, self.middle_mm, self.middle_mm[2] - press_mm)
 
     def find(
         self, method: Method, frame: Frame, seed: int, before: Belief | None = None
     ) -> tuple[Found, Belief]:
-        """Find the part from a frame of its contact, and what to believe of its pose.
+        """Localize the part from a frame of its contact; returns the registration and the belief.
 
-        `before` is what earlier looks made the robot believe, in this frame: registration starts from it.
+        `before` is the belief after earlier looks, in this frame; registration starts from it.
         """
         surface_mm, patch_mm = np.asarray(self.template.points_mm), np.asarray(frame.patch_points_mm)
         if len(patch_mm) < _MIN_PATCH:
@@ -110,14 +111,16 @@ class Workplace:
         return tried[0], believed(tried, registering.held, PRIOR, seed, from_heights, alike, before)
 
     def covariance_bound(self, t_sensor_object: Array, contact: SimulatedFrame, frame: Frame) -> Array:
-        """Least covariance of the part's pose, in its own frame, (6, 6), from the heights of markers that touch."""
+        """Cramér-Rao bound of the part's pose, in its own frame, (6, 6), from the heights of markers in contact."""
         seen = np.asarray(contact.in_contact) & (np.asarray(frame.state) == MarkerState.SEEN)
         return covariance_bound(
             self.surface, t_sensor_object, contact.points_mm[seen], frame.covariance_mm2[seen], PRIOR
         )
 
     def bound_of(self, hold: Hold, sigma_mm: float) -> tuple[int, Bound]:
-        """How many markers touch a part that is held so, and what their heights tell, each known to `sigma_mm`."""
+        """Number of markers in contact in this hold, and the bound from their heights with standard deviation
+        `sigma_mm`.
+        """
         t_sensor_object = self.lie(hold)
         contact = self.simulator.press(t_sensor_object)
         points_mm = contact.points_mm[contact.in_contact]
@@ -127,11 +130,11 @@ class Workplace:
         return len(points_mm), bound
 
 
-#: Registration is not tried with fewer markers.
+#: Minimum number of markers for registration.
 _MIN_PATCH = 6
 
 
 @lru_cache(maxsize=8)
 def workplace(letter: str) -> Workplace:
-    """Make a workplace once for each process."""
+    """Create a workplace, once per process."""
     return Workplace(letter)
