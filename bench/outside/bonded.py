@@ -2,8 +2,8 @@
 
 Compliances are those of a layer of thickness h and Poisson's ratio v (Johnson 1985, section 5.7, by Fourier's
 transform), with x = k h and a modulus of 1. Pressures follow from p >= 0, u >= depth by conjugate gradients
-(Polonsky and Keer 1999). The part is met where the surface has moved to, so that a marker that touches lies on
-it.
+(Polonsky and Keer 1999). Contact uses the part's height above the displaced surface, so a marker in contact lies on the
+part.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from scipy.interpolate import RectBivariateSpline
 
 Array = npt.NDArray[np.float64]
 
-# Of the domain on every side, so that periodic copies are a layer's thickness off or more.
+# Padding of the domain on every side; periodic copies are then at least one layer thickness away.
 PADDING_MM = 6.0
-# Iterations of the contact, and how often the part is met anew.
-CONTACT_STEPS, MEETINGS = 150, 4
-# Pressures are at rest when u misses the part by less than this, rms over the contact.
+# Iterations of the contact solver, and of the update of the part's height at the displaced surface.
+CONTACT_STEPS, UPDATES = 150, 4
+# Convergence: rms distance of u from the part over the contact.
 REST_MM = 2e-4
 
 
@@ -33,9 +33,9 @@ class Layer:
     poisson_ratio: float
 
     def compliances(self, k: Array) -> tuple[Array, Array]:
-        """Normal motion, and outward motion along the wave, of a unit wave of pressure."""
+        """Normal displacement, and displacement along the wave, under a unit wave of pressure."""
         v = self.poisson_ratio
-        # Beyond this all are those of a half-space, and cosh would overflow.
+        # Beyond this, compliances equal those of a half-space, and cosh would overflow.
         x = np.clip(k * self.thickness_mm, 1e-6, 40.0)
         c = 2.0 * (1.0 - v * v) / np.maximum(k, 1e-6 / self.thickness_mm)
         a = 3.0 - 4.0 * v
@@ -46,7 +46,7 @@ class Layer:
 
 
 def pressed(layer: Layer, depth: Array, along_mm: Array) -> tuple[Array, Array, Array]:
-    """Motion toward the cameras and along x and y of a square grid; `depth` is negative beside the part."""
+    """Displacement towards the cameras and along x and y on a square grid; `depth` is negative beside the part."""
     n, step = len(along_mm), float(along_mm[1] - along_mm[0])
     size = n + 2 * int(PADDING_MM / step)
     kx, ky = 2 * np.pi * np.fft.rfftfreq(size, step)[None, :], 2 * np.pi * np.fft.fftfreq(size, step)[:, None]
@@ -60,7 +60,7 @@ def pressed(layer: Layer, depth: Array, along_mm: Array) -> tuple[Array, Array, 
     spline = RectBivariateSpline(along_mm, along_mm, depth, kx=1, ky=1)
     y, x = np.meshgrid(along_mm, along_mm, indexing="ij")
     met, pressure = depth, np.zeros_like(depth)
-    for _ in range(MEETINGS):
+    for _ in range(UPDATES):
         pressure = contact(lambda p: moved(p, normal), met, pressure)
         right, down = (moved(pressure, -1j * axis * per_k) for axis in (kx, ky))
         inside = np.clip(y + down, along_mm[0], along_mm[-1]), np.clip(x + right, along_mm[0], along_mm[-1])
@@ -69,7 +69,7 @@ def pressed(layer: Layer, depth: Array, along_mm: Array) -> tuple[Array, Array, 
 
 
 def contact(apply, depth: Array, pressure: Array) -> Array:  # type: ignore[no-untyped-def]
-    """The pressures that keep a surface from a part."""
+    """The pressures that keep a surface outside a part."""
     if not pressure.any():
         pressure = np.where(depth > 0, np.maximum(depth, 0.0), 0.0)
         pressure *= (pressure * depth).sum() / max((pressure * apply(pressure)).sum(), 1e-30)

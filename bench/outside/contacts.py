@@ -1,6 +1,6 @@
 """Solve the contacts of `contacts.toml` and store them: `python -m outside.contacts [--check] [NAME ...]`.
 
-What data/contacts has already is not solved again. Each file has all stages of one part on one gel.
+Contacts that are already in data/contacts are not solved again. Each file has all stages of one part on one gel.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def placed(touch: Posed, stage: Array) -> Posed:
 
 
 def along(way: Array, last: Array) -> float:
-    """How many times the last step a step is, when it goes the same way; otherwise 0."""
+    """Ratio of a step to the previous one if their directions agree; otherwise 0."""
     size = float(np.linalg.norm(last))
     share = float(way @ last) / size**2 if size > 0 else 0.0
     return share if np.abs(way - share * last).max() < 1e-9 else 0.0
@@ -53,10 +53,10 @@ def along(way: Array, last: Array) -> float:
 def press(
     layer: fem.Layer, part: Part, friction: float, stages: Sequence[Sequence[float]]
 ) -> Iterator[fem.Solved]:
-    """Solve stage after stage; steps that do not converge are halved, four times at most."""
+    """Solve all stages in order; steps that do not converge are halved, at most four times."""
     contact = fem.Contact(layer, friction)
     motion, at = np.zeros(layer.count), np.zeros(4)
-    # How the gel moved in the last step, and the part's.
+    # Motion of the gel in the last step, and of the part.
     change, last = np.zeros(layer.count), np.zeros(4)
     touch = at_touch(part, layer.thickness_mm, (0.0, 0.0))
     for stage in stages:
@@ -120,7 +120,7 @@ def solve_ball(
 
 
 def reach_of(part: Part, stages: Sequence[Sequence[float]]) -> tuple[float, float]:
-    """How far from the middle the part may touch along x and y, and half a millimetre more."""
+    """Largest distance from the middle at which the part may touch along x and y, plus half a millimetre."""
     along = np.linspace(-10.0, 10.0, 161)
     x, y = (a.ravel() for a in np.meshgrid(along, along))
     thickness, reach = 0.0, np.zeros(2)
@@ -142,7 +142,7 @@ def solve_solid(name: str, entry: dict[str, Any], gel: dict[str, Any], fine: flo
 
 
 def solve_law(name: str, entry: dict[str, Any], thickness: float = 4.0) -> None:
-    """Heights by a law without thickness; the gel's is only where the part is stored for."""
+    """Heights by a law without thickness; the gel's thickness only defines the stored file."""
     part = Part.read(entry["part"])
     along = np.linspace(-HALF_MM, HALF_MM, 219)
     touch = at_touch(part, thickness, (0.0, 0.0))
@@ -160,7 +160,7 @@ def solve_law(name: str, entry: dict[str, Any], thickness: float = 4.0) -> None:
 
 
 def jobs(contacts: dict[str, Any]) -> dict[str, tuple[Any, ...]]:
-    """All files by name, each with what makes it; the cheap ones first."""
+    """All files by name, each with the function that creates it; the fastest first."""
     found: dict[str, tuple[Any, ...]] = {}
     for name, entry in contacts["laws"].items():
         found[name] = (solve_law, entry)
@@ -179,7 +179,7 @@ def jobs(contacts: dict[str, Any]) -> dict[str, tuple[Any, ...]]:
 
 
 def main() -> int:
-    """Solve what is missing."""
+    """Solve the missing contacts."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("names", nargs="*", help="files to solve; all without")
     names = parser.parse_args().names

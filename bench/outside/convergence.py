@@ -1,4 +1,4 @@
-"""How far the meshes of the stored contacts are from finer ones: `python -m outside.convergence [--blocks]`.
+"""Mesh convergence of the stored contacts: `python -m outside.convergence [--blocks]`.
 
 Balls on a disc against meshes of half and a quarter of the element size. With `--blocks`, three dimensions: a ball on
 blocks against the finest disc, and a solid of `contacts.toml` against a finer block.
@@ -20,7 +20,7 @@ from .parts import Part
 Array = npt.NDArray[np.float64]
 
 FAR = np.linspace(0.0, 8.0, 161)
-# Where solids are compared: all round, to 8 mm from the middle.
+# Points for the comparison of solids: all around, to 8 mm from the middle.
 ROUND = np.linspace(-8.0, 8.0, 65)
 BALL_BLOCKS_MM = (0.5, contacts.SOLID_MM)
 SOLID, SOLID_STAGES, SOLID_BLOCKS_MM = "cylinder_2", 3, (0.6, 0.42, contacts.SOLID_MM, 0.21)
@@ -28,14 +28,14 @@ SOLID, SOLID_STAGES, SOLID_BLOCKS_MM = "cylinder_2", 3, (0.6, 0.42, contacts.SOL
 
 @dataclass(frozen=True)
 class Last:
-    """The last stage: motion at the places that are compared, what tells the contact's size, and the force."""
+    """The last stage: displacement at the compared points, a measure of the contact's size, and the force."""
 
     motion: Array
     contact: float
     force: float
 
     def row(self, finest: Last) -> str:
-        """Cells: distance from the finest mesh along every axis of the motion, contact and force."""
+        """Table cells: deviation from the finest mesh per component of displacement, contact and force."""
         off = 1000 * (self.motion - finest.motion)
         cells = [f"{np.abs(o).max():.1f} / {np.sqrt((o**2).mean()):.1f}" for o in off]
         return " | ".join([*cells, f"{self.contact:.3f}", f"{self.force:.2f}"])
@@ -55,7 +55,7 @@ def ball(gel: dict[str, float], radius: float, stages: list[list[float]], fine: 
 def pressed_block(
     gel: dict[str, float], part: Part, stages: list[list[float]], fine: float
 ) -> tuple[list[RectBivariateSpline], float, float]:
-    """Motion along the axes over y and x, the area of contact, and the force."""
+    """Displacement along the axes over y and x, the area of contact, and the force."""
     reach = contacts.reach_of(part, stages)
     layer = fem.block(gel["thickness_mm"], gel["poisson_ratio"], contacts.HALF_MM, fine, reach)
     *_, last = contacts.press(layer, part, gel["friction"], stages)
@@ -72,7 +72,7 @@ def ball_on_block(gel: dict[str, float], radius: float, stages: list[list[float]
 
 
 def solid(name: str, fine: float) -> Last:
-    """Motion of a solid's gel along x, y and z, the area of contact, and the force."""
+    """Displacement of the gel under a solid along x, y and z, the area of contact, and the force."""
     table = contacts.table()
     entry = table["solids"][name]
     gel, stages = table["gels"][entry["gel"]], entry["stages"][:SOLID_STAGES]
@@ -81,13 +81,13 @@ def solid(name: str, fine: float) -> Last:
 
 
 def write(*cells: str) -> None:
-    """A row of a table, at once."""
+    """Print a row of a table immediately."""
     sys.stdout.write(f"| {' | '.join(cells)} |\n")
     sys.stdout.flush()
 
 
 def balls(blocks: bool) -> None:
-    """A row for every mesh under two balls; under the first, of blocks too."""
+    """A row for every mesh under two balls; for the first ball, also blocks."""
     table = contacts.table()
     write("gel, ball, depth (mm)", "mesh", "height, largest / rms (um)", "contact radius (mm)", "force")
     write(*["---"] * 5)

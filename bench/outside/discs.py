@@ -1,7 +1,7 @@
-"""Discs drawn by NumPy alone, in the conditions that a sensor's images come with, and what plain OpenCV finds there.
+"""Discs drawn with NumPy alone under typical imaging conditions, and detection by plain OpenCV.
 
-A pixel is dark by the share of it that a disc covers, sampled 8 x 8; then come the lens, light, dirt and noise. No
-renderer of the project's own takes part, and the truth is exact.
+A pixel's darkness is the fraction covered by a disc, sampled 8 x 8. Lens blur, illumination, dirt and noise are added.
+No renderer of the project is used, and the truth is exact.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ SAMPLES = 8
 
 @dataclass(frozen=True)
 class Condition:
-    """How images differ from those of a clean print in even light."""
+    """Differences of images from a clean print in even illumination."""
 
     contrast_levels: float = 110.0
     gel_level: float = 170.0
@@ -35,11 +35,11 @@ class Condition:
     pitch_mm: float = 0.92
     radius_mm: float = 0.22
     turn_deg: float = 0.0
-    #: Long over short axis, in any direction.
+    #: Ratio of long to short axis, in random directions.
     ellipse: float = 1.0
-    #: Standard deviation of radii, relative; no radius is beyond 1.7 of them.
+    #: Relative standard deviation of radii; deviations are limited to 1.7 standard deviations.
     radius_jitter: float = 0.0
-    #: Share of the light that is left at the far side; in the corners it is less still.
+    #: Fraction of the light at the far side; it is lower still in the corners.
     far_light: float = 1.0
     smears: int = 0
     dust: int = 0
@@ -67,7 +67,7 @@ CONDITIONS: dict[str, Condition] = {
 
 @dataclass(frozen=True)
 class Print:
-    """A print in one condition, seen by two cameras."""
+    """A print under one condition, seen by two cameras."""
 
     condition: Condition = field(default_factory=Condition)
     seed: int = 1
@@ -118,7 +118,7 @@ class Print:
         return np.asarray(cv2.imdecode(coded, cv2.IMREAD_GRAYSCALE), dtype=np.uint8)
 
     def _covered(self, at_px: Array, px_per_mm: Array) -> Array:
-        """The share of every pixel that lies in a disc."""
+        """Fraction of every pixel covered by a disc."""
         condition = self.condition
         rng = np.random.default_rng([self.seed, 101])
         spread = np.clip(rng.normal(0.0, 1.0, len(at_px)), -1.7, 1.7)
@@ -138,7 +138,7 @@ class Print:
         return np.asarray(to_side * (1.0 - (1.0 - far) * from_middle))
 
     def _smears(self, view: int) -> Array:
-        """Streaks of reflected light, at other places in each view, that hide what they cover."""
+        """Opaque streaks of reflected light, at different places in each view."""
         x, y = np.meshgrid(*(np.arange(n, dtype=float) for n in SIZE_PX))
         low, high = self._gel_px(view)
         rng = np.random.default_rng([self.seed, 202, view])
@@ -172,7 +172,7 @@ class Print:
 
 
 def add_disc(covered: Array, at_px: tuple[float, float], axes_px: tuple[float, float], turn: float) -> None:
-    """Adds an ellipse: pixel centres are whole numbers."""
+    """Add an ellipse; pixel centres have integer coordinates."""
     reach = int(max(axes_px)) + 2
     u0, v0 = round(at_px[0]) - reach, round(at_px[1]) - reach
     size = 2 * reach + 1
@@ -190,7 +190,7 @@ def add_disc(covered: Array, at_px: tuple[float, float], axes_px: tuple[float, f
 
 
 def with_tray(levels: Array, low: Array, high: Array) -> Array:
-    """A dark tray round the gel, a pale frame round the tray."""
+    """Add a dark tray around the gel, and a bright frame around the tray."""
     x, y = np.arange(SIZE_PX[0])[None, :], np.arange(SIZE_PX[1])[:, None]
     inside = np.minimum(np.minimum(x - low[0], high[0] - x), np.minimum(y - low[1], high[1] - y))
     wall = 1.0 / (1.0 + np.exp(-inside / 1.5))
@@ -199,11 +199,11 @@ def with_tray(levels: Array, low: Array, high: Array) -> Array:
 
 
 def opencv_centres(image: Image) -> Array:
-    """What plain OpenCV finds: one recipe for all conditions.
+    """Detection by plain OpenCV, with one recipe for all conditions.
 
-    The gel's level is the image closed by an ellipse wider than a disc. A pixel is a disc's when it is darker than that
-    by 0.45 of the contrast around, and by 5 deviations of the noise. Pieces are kept by area and fill beside the
-    median; centres are weighted by contrast.
+    The background is the morphological closing of the image by an ellipse wider than a disc. A pixel belongs to a disc
+    if it is darker than the background by 0.45 of the local contrast and by 5 standard deviations of the noise.
+    Components are filtered by area and fill relative to the median; centres are weighted by contrast.
     """
     smooth = cv2.GaussianBlur(image, (3, 3), 0).astype(np.float32)
     gel = cv2.GaussianBlur(

@@ -1,9 +1,9 @@
 """Finite elements: a soft layer, bonded at its back, under a rigid part with friction.
 
-Neo-Hookean, nearly incompressible: bilinear elements whose pressure is constant in each (mean dilatation; Simo,
-Taylor and Pister 1985), so that they do not lock. Contact is looked for at a disc's surface nodes, or at four points of
-each of a block's faces, with a penalty; friction is Coulomb's with return mapping. Loads are steps of the part's
-motion, each solved by Newton's method with a line search. The shear modulus is 1; pressures are in its unit.
+The material is neo-Hookean and nearly incompressible. Bilinear elements with constant pressure (mean dilatation; Simo,
+Taylor and Pister 1985) avoid locking. Contact is evaluated with a penalty, at a disc's surface nodes or at four points
+of each face of a block. Friction is Coulomb's with return mapping. Loads are steps of the part's motion, each solved by
+Newton's method with a line search. The shear modulus is 1 and is the unit of pressures.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from .parts import Posed
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
-# Of the shear modulus, per mm: surfaces interpenetrate by 0.5 to 3 um at the pressures of these contacts.
+# Normal penalty in shear moduli per mm: surfaces interpenetrate by 0.5 to 3 um at the pressures of these contacts.
 NORMAL_PENALTY = 2000.0
-# Sticking nodes give way by up to 10 to 20 um at those pressures; 200 made Newton steps fail.
+# Tangential penalty: sticking nodes move by up to 10 to 20 um at those pressures. With 200, Newton steps failed.
 STICK_PENALTY = 100.0
-# Blocks: the pressure starts as a parabola over this depth, and the part's bend counts up to this pressure.
+# Blocks: the pressure starts as a parabola over this depth, and the part's curvature is included up to this pressure.
 SOFT_MM = 0.002
 MAX_BEND_PRESSURE = 20.0
 
@@ -34,7 +34,7 @@ class NotConverged(RuntimeError):
 
 
 def solve(matrix: csr_matrix, right: Array) -> Array:
-    """One sparse linear system; PARDISO, since SuperLU takes ten times as long in three dimensions."""
+    """Solve a sparse linear system with PARDISO, because SuperLU takes ten times as long in three dimensions."""
     import pypardiso
 
     return np.asarray(pypardiso.spsolve(matrix, right))
@@ -54,7 +54,7 @@ class Layer:
         scalar = skfem.ElementQuad1() if self.axial else skfem.ElementHex1()
         basis = skfem.Basis(self.mesh, skfem.ElementVector(scalar), intorder=2 if not self.axial else 3)
         r = np.asarray(basis.global_coordinates())[0]
-        # F = 1 + rates u: nine entries of every element's gradient by its degrees of freedom.
+        # F = 1 + rates u: nine entries of every element's deformation gradient per degree of freedom.
         self.rates = np.stack([self._gradient(f[0], r) for f in basis.basis], axis=-1)
         self.weights = basis.dx * (r if self.axial else 1.0)
         self.dofs: Indices = basis.element_dofs.T.astype(np.int64)
@@ -80,7 +80,7 @@ class Layer:
         return full
 
     def _surface(self, scalar: skfem.Element) -> None:
-        """Nodes of the free surface in order, their places and the areas that they stand for."""
+        """Nodes of the free surface in order, their positions and tributary areas."""
         top = self.mesh.facets_satisfying(lambda x: np.abs(x[-1] - self.thickness_mm) < 1e-9)
         facets = skfem.FacetBasis(self.mesh, scalar, facets=top, intorder=3)
 
@@ -96,13 +96,13 @@ class Layer:
         places = self.mesh.p[:, self.nodes].T
         self.places = np.insert(places, 1, 0.0, axis=1) if self.axial else places
         self.surface_dofs = self.nodal[self.nodes]
-        # Where contact is looked for: at a disc's nodes, and at four points of every face of a block.
+        # Contact points: a disc's nodes, or four points of every face of a block.
         self.at_points, self.point_areas = identity(len(self.nodes), format="csr"), self.areas
         if not self.axial:
             self.at_points, self.point_areas = self._points(facets)
 
     def _points(self, facets: skfem.FacetBasis) -> tuple[csr_matrix, Array]:
-        """Gauss points of the surface's faces by its nodes, and their areas."""
+        """Gauss points of the surface's faces as weights of its nodes, and their areas."""
         order = np.full(self.mesh.p.shape[1], -1)
         order[self.nodes] = np.arange(len(self.nodes))
         shares = np.stack([np.asarray(f[0]) for f in facets.basis], axis=-1)
@@ -116,14 +116,14 @@ class Layer:
         return points, np.asarray(facets.dx).ravel()
 
     def forces(self, u: Array) -> Array:
-        """Inner forces."""
+        """Internal forces."""
         bent = _Bent.of(self, u)
         stress = self.weights[..., None] * (bent.isochoric() + bent.pressure[:, None, None] * bent.cofactor)
         inner = np.einsum("eqa,eqai->ei", stress, self.rates)
         return np.bincount(self.dofs.ravel(), inner.ravel(), self.count)
 
     def stiffness(self, u: Array) -> csr_matrix:
-        """Derivative of the inner forces."""
+        """Derivative of the internal forces."""
         bent = _Bent.of(self, u)
         law = bent.law()
         law *= self.weights[..., None, None]
@@ -140,7 +140,7 @@ class Layer:
 
 @dataclass(frozen=True)
 class _Bent:
-    """A layer's deformation: F and its inverse's transpose as nine entries, and what follows of both."""
+    """A layer's deformation: F and its inverse transpose as nine entries, and derived quantities."""
 
     gradient: Array
     inverse: Array
@@ -164,13 +164,13 @@ class _Bent:
         return self.jacobian[..., None] * self.inverse
 
     def isochoric(self) -> Array:
-        """dW/dF of the part that keeps the volume."""
+        """dW/dF of the isochoric part."""
         first = (self.gradient**2).sum(axis=-1)
         scale = self.jacobian ** (-2 / 3)
         return np.asarray(scale[..., None] * (self.gradient - first[..., None] / 3 * self.inverse))
 
     def law(self) -> Array:
-        """Second derivative of the energy by F, the mean dilatation's own part apart."""
+        """Second derivative of the energy with respect to F, without the term of the mean dilatation."""
         gradient, inverse = self.gradient, self.inverse
         outer = inverse[..., :, None] * inverse[..., None, :]
         # d(F^-T)/dF: -F^-T_kj F^-T_il for entries ij by kl.
@@ -186,7 +186,9 @@ class _Bent:
 
 @dataclass(frozen=True)
 class Solved:
-    """Motion of all degrees of freedom (mm); at the surface's nodes pressures, tractions and the share that touches."""
+    """Displacements of all degrees of freedom (mm); at the surface's nodes pressures, tractions and fraction in
+    contact.
+    """
 
     motion: Array
     pressures: Array
@@ -196,7 +198,7 @@ class Solved:
 
 @dataclass(frozen=True)
 class Traction:
-    """What the part does to the surface at the contact points, and its derivative by their places."""
+    """Tractions on the surface at the contact points, and their derivatives with respect to the points' positions."""
 
     stresses: Array
     slopes: Array
@@ -206,7 +208,7 @@ class Traction:
 
 @dataclass
 class Contact:
-    """Forces between the surface's contact points and a part. `held` are the tractions that points carried last."""
+    """Forces between the surface's contact points and a part. `held` are the tractions of the previous step."""
 
     layer: Layer
     friction: float
@@ -216,14 +218,14 @@ class Contact:
         self.held = np.zeros((self.layer.at_points.shape[0], 3))
 
     def places(self, u: Array) -> Array:
-        """Where the contact points are."""
+        """Positions of the contact points."""
         layer = self.layer
         values = u[layer.surface_dofs]
         moved = np.insert(values, 1, 0.0, axis=1) if layer.axial else values
         return np.asarray(layer.at_points @ (layer.places + moved))
 
     def forces(self, places: Array, places_before: Array, part: Posed, part_before: Posed) -> Traction:
-        """Stresses on the contact points by a penalty, with friction since the last step."""
+        """Penalty stresses at the contact points, with friction for the motion since the last step."""
         gap = part.distance(places)
         touching = gap < 0
         stresses, slopes = np.zeros_like(places), np.zeros((len(places), 3, 3))
@@ -236,14 +238,14 @@ class Contact:
         across = np.eye(3) - normal[:, :, None] * normal[:, None, :]
         slid = (x - places_before[touching]) - part.carried(x, part_before)
         trial = np.einsum("nij,nj->ni", across, self.held[touching] - STICK_PENALTY * slid)
-        # Coulomb's limit, rounded: Newton's method cycles at the sharp one.
+        # Coulomb's limit, smoothed: Newton's method cycles at the sharp one.
         limit = self.friction * pressure + 1e-9
         size2 = (trial**2).sum(axis=1)
         both = np.sqrt(limit**2 + size2)
         share = limit / both
         traction = share[:, None] * trial
         slope = -rate[:, None, None] * normal[:, :, None] * normal[:, None, :]
-        # Far inside the part, where iterates may be, the true factor would outweigh the gel.
+        # Iterates may be far inside the part, where the true factor would dominate the gel's stiffness.
         slope += np.minimum(pressure, MAX_BEND_PRESSURE)[:, None, None] * bend
         hold = share[:, None, None] * across - (limit / both**3)[:, None, None] * (
             trial[:, :, None] * trial[:, None, :]
@@ -257,7 +259,7 @@ class Contact:
         return Traction(stresses, slopes, pressures, tractions)
 
     def _pressure(self, depth: Array) -> tuple[Array, Array]:
-        """Pressure at a depth in the part, and its derivative: linear, with a soft start in three dimensions."""
+        """Penalty pressure at a depth in the part, and its derivative: linear, in 3-D with a soft start."""
         soft = 0.0 if self.layer.axial else SOFT_MM
         if soft == 0.0:
             return NORMAL_PENALTY * depth, np.full_like(depth, NORMAL_PENALTY)
@@ -266,7 +268,7 @@ class Contact:
         return pressure, NORMAL_PENALTY * inside / soft
 
     def step(self, start: Array, guess: Array, part: Posed, part_before: Posed, limit: int = 25) -> Solved:
-        """Move the part. The step counts, and friction remembers it, once it has converged."""
+        """Move the part. The state, including friction's history, is updated only if the step converges."""
         problem = _Step(self, self.places(start), part, part_before)
         free = self.layer.free
         u = guess.copy()
@@ -281,7 +283,7 @@ class Contact:
         raise NotConverged
 
     def _solved(self, u: Array, traction: Traction) -> Solved:
-        """Means round every node."""
+        """Averages around every node."""
         layer = self.layer
         spread = layer.at_points.T.multiply(layer.point_areas).tocsr()
         area = np.asarray(spread.sum(axis=1)).ravel()
@@ -292,7 +294,7 @@ class Contact:
 
 @dataclass(frozen=True)
 class _State:
-    """Out-of-balance forces of the free degrees of freedom, the size of the outer ones, and those at points."""
+    """Residual forces of the free degrees of freedom, the magnitude of the external forces, and tractions at points."""
 
     residual: Array
     scale: float
@@ -326,7 +328,7 @@ class _Step:
         return _State(inner[layer.free], float(np.linalg.norm(outer)) + 1e-9, found)
 
     def matrix(self, u: Array, traction: Traction) -> csr_matrix:
-        """Derivative of the residual; the contact's goes node by node through the points between them."""
+        """Derivative of the residual; the contact's part couples nodes through the contact points between them."""
         layer = self.contact.layer
         ends, weighted = layer.surface_dofs, self.weighted
         slopes = traction.slopes[:, self.kept][:, :, self.kept]
@@ -341,10 +343,10 @@ class _Step:
         return whole[layer.free][:, layer.free].tocsr()
 
     def search(self, u: Array, change: Array, now: _State) -> tuple[Array, _State]:
-        """The first share of a change that lessens the forces enough, or the best that was tried."""
+        """Line search: the first fraction of a step with sufficient decrease of the residual, or the best one tried."""
         size, free = float(np.linalg.norm(now.residual)), self.contact.layer.free
         work = abs(float(now.residual @ change[free]))
-        # Far jumps at first touch overshoot.
+        # Large steps at first contact overshoot.
         share = min(1.0, 0.5 / float(np.abs(change).max()))
         best: tuple[float, Array, _State] | None = None
         for _ in range(6):
@@ -366,7 +368,7 @@ class _Step:
 
 
 def graded(fine_mm: float, fine_until_mm: float, until_mm: float, growth: float = 1.25) -> Array:
-    """Coordinates from 0 whose steps are `fine_mm` and then grow."""
+    """Coordinates from 0 with steps of `fine_mm` that increase further out."""
     steps, at = [fine_mm] * int(np.ceil(fine_until_mm / fine_mm)), 0.0
     at = sum(steps)
     while at < until_mm:
@@ -383,7 +385,7 @@ def heights(fine_mm: float, thickness_mm: float, growth: float = 1.35) -> Array:
 def disc(
     thickness_mm: float, poisson_ratio: float, half_mm: float, fine_mm: float, contact_mm: float
 ) -> Layer:
-    """A disc of gel for contacts round its axis."""
+    """A disc of gel for axisymmetric contacts."""
     r = graded(fine_mm, contact_mm, half_mm, 1.15)
     z = heights(fine_mm, thickness_mm, 1.15)
     return Layer(skfem.MeshQuad.init_tensor(r, z), thickness_mm, poisson_ratio)

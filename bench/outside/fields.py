@@ -1,4 +1,4 @@
-"""Stored contacts, read: motion of the print, true contact and pressure, wherever they are wanted."""
+"""Reading of stored contacts: displacement, true contact and pressure at any point of the print."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Field:
         return far, outward, along
 
     def motion(self, stage: int, points: Array) -> Array:
-        """Motion (n x 3, mm) of points of the surface (n x 2, mm from the part's first touch)."""
+        """Displacement (n x 3, mm) of surface points (n x 2, mm from the part's first touch)."""
         if "r" in self.arrays:
             _, outward, along = self._round(stage, points)
             return np.concatenate((outward * along[:, :1], along[:, 1:]), axis=1)
@@ -55,7 +55,7 @@ class Field:
         return np.stack([s(inside[:, 1], inside[:, 0], grid=False) for s in splines], axis=1)
 
     def pressure(self, stage: int, points: Array) -> Array:
-        """Normal pressure over the shear modulus (n); of laws without pressure 1 in contact."""
+        """Normal pressure over the shear modulus (n); for laws without pressure, 1 in contact."""
         grid = self.arrays["pressure"][stage]
         if "r" in self.arrays:
             return np.asarray(np.interp(np.hypot(*points.T), self.arrays["r"], grid, right=0.0))
@@ -65,13 +65,13 @@ class Field:
         )
 
     def touching(self, stage: int, points: Array) -> npt.NDArray[np.bool_]:
-        """True contact: the larger part of the surrounding gel carries pressure. Right to half a cell."""
+        """True contact: most of the surrounding gel carries pressure. Accurate to half a cell."""
         grid = (self.arrays["pressure"][stage] > 0).astype(float)
-        # Of blocks the share of the surface round every node that touches.
+        # For blocks, the fraction in contact of the surface around every node.
         grid = self.arrays["share"][stage] if "share" in self.arrays else grid
         if "r" in self.arrays:
             return np.asarray(np.interp(np.hypot(*points.T), self.arrays["r"], grid, right=0.0) > 0.5)
         axes = (self.arrays["y"], self.arrays["x"])
         share = RegularGridInterpolator(axes, grid, bounds_error=False, fill_value=0.0)(points[:, ::-1])
-        # More than half, since a column of contact points alone is half a node's, to rounding.
+        # More than half, because a single column of contact points is half of a node's, up to rounding.
         return np.asarray(share > 0.501)

@@ -1,8 +1,8 @@
-"""The experiment's parts in gels of other laws than the simulator's: `python -m outside.grasped [NAME ...]`.
+"""The experiment's parts in gels with other laws than the simulator's: `python -m outside.grasped [NAME ...]`.
 
-A file of `data/grasped` has the contacts of one part under one law: the part's poses, where the markers
-moved to, and which of them touch. What is stored is not made again. Frames are those of
-`gelstereo_bench.frontier.grasps`: the sensor's, in which the part presses towards -z.
+A file of `data/grasped` has the contacts of one part under one law: the part's poses, the displaced markers, and which
+of them touch. Stored contacts are not computed again. Frames are those of `gelstereo_bench.frontier.grasps`: the
+sensor's, in which the part presses towards -z.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ DATA = HERE / "data" / "grasped"
 PITCH_MM = 0.9
 # Grids reach two millimetres beyond the markers.
 ALONG_MM = np.linspace(-13.0, 13.0, 209)
-# Poses are drawn until the part covers so many markers and so many touch: a soft gel meets few crests.
+# Poses are drawn until the part covers this many markers and this many touch; a soft gel touches only a few crests.
 MIN_COVERED, MIN_TOUCHING, DRAWS = 20, 6, 40
-# Where there is no part, far below every surface.
+# Height where there is no part: far below every surface.
 NOWHERE_MM = -5.0
-# A marker touches where the gel is no higher than the part by more, mm.
+# A marker touches if the gel is at most this much above the part, mm.
 TOUCH_MM = 1e-3
 
 
@@ -54,7 +54,7 @@ def lattice() -> Array:
 
 
 class Underside:
-    """How far a part reaches below the free surface, by the triangles that do."""
+    """Depth of a part below the free surface, from the triangles below it."""
 
     def __init__(self, mesh: trimesh.Trimesh, pose: Array) -> None:
         """At a pose in the sensor frame."""
@@ -65,7 +65,7 @@ class Underside:
         near = (low[:, 2] < 0) & (low[:, :2] < reach).all(axis=1) & (high[:, :2] > -reach).all(axis=1)
         a, b, c = corners[near].transpose(1, 0, 2)
         area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
-        # Triangles that stand upright are met at their neighbours.
+        # Vertical triangles are skipped; their neighbours cover their borders.
         flat = np.abs(area) > 1e-9
         self.a, self.b, self.c, self.area = a[flat], b[flat], c[flat], area[flat]
         self.low, self.high = low[near][flat], high[near][flat]
@@ -133,10 +133,10 @@ LAWS: dict[str, Law] = {"none": _none, "exponential": _exponential, "membrane": 
 def press(
     entry: dict[str, Any], part: Underside, points: Array
 ) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
-    """Where markers move to across (n x 2), how high, and whether they touch."""
+    """Lateral positions of the displaced markers (n x 2), their heights, and whether they touch."""
     sideways, height = LAWS[entry["law"]](part.on_grid(), points, entry)
     moved = points + sideways
-    # On the part itself between the nodes of the grid.
+    # Between the grid's nodes, the exact height of the part.
     depth = part.at(moved)
     height = np.maximum(height, depth)
     return moved, height, (depth > 0) & (height <= depth + TOUCH_MM)
@@ -165,7 +165,7 @@ def make(entry: dict[str, Any], part: Press, seeds: range) -> dict[str, Array]:
 
 
 def jobs() -> dict[str, tuple[dict[str, Any], Press, range]]:
-    """All files by name, each with what makes it."""
+    """All files by name, each with the function that creates it."""
     entries, found = table(), {}
     for press_of in GRASPED:
         half = next(half for half in "wj" if press_of.name in entries["parts"][half])
@@ -181,7 +181,7 @@ def jobs() -> dict[str, tuple[dict[str, Any], Press, range]]:
 
 
 def main() -> int:
-    """Make what is missing."""
+    """Create the missing contacts."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("names", nargs="*", help="files to make; all without")
     names = parser.parse_args().names

@@ -1,4 +1,4 @@
-"""Stored pairs as a camera would give them: noise and JPEG are applied when they are read, seeded."""
+"""Stored pairs as camera images: seeded noise and JPEG compression are applied on reading."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 Bytes = npt.NDArray[np.uint8]
 
-# About that of the print where it is lit least.
+# About the level of the print where it is darkest.
 BARE_LEVEL = 140
 DATA = Path(__file__).parent / "data" / "images"
 
 
 @dataclass(frozen=True)
 class Condition:
-    """Read noise and shot noise (levels; the shot noise at level 255), and JPEG's quality or none.
+    """Read noise and shot noise (grey levels; shot noise at level 255), and JPEG quality or None.
 
-    `bare` overwrites everything round the markers with a plain grey: what is left is the print.
+    `bare` replaces everything around the markers by a uniform grey, so that only the print remains.
     """
 
     read_levels: float = 1.0
@@ -74,7 +74,7 @@ class Sequence:
         return len(self.about["frames"])
 
     def clean(self, index: int, view: str) -> Bytes:
-        """One image as it was rendered."""
+        """One rendered image."""
         path = DATA / f"{self.name}_{index:02d}_{view}.png"
         image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
         if image is None:
@@ -82,7 +82,7 @@ class Sequence:
         return np.asarray(image, dtype=np.uint8)
 
     def pair(self, index: int, condition: Condition, seed: int = 1) -> tuple[Bytes, Bytes]:
-        """Left and right as a camera gives them."""
+        """Left and right image with noise and compression."""
         images = []
         for side, view in enumerate(("left", "right")):
             image = self.clean(index, view)
@@ -98,6 +98,6 @@ class Sequence:
 
 
 def names(half: str | None = None) -> list[str]:
-    """All sequences that are stored, or those of a half."""
+    """Names of all stored sequences, or of one half."""
     found = sorted(path.stem for path in DATA.glob("*.npz"))
     return [name for name in found if half is None or Sequence.load(name).half == half]

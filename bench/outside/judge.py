@@ -1,6 +1,6 @@
-"""Judge presets on the rendered pairs: `python -m outside.judge [--half w|j] [--preset NAME ...] [--jpeg QUALITY]`.
+"""Evaluate presets on the rendered pairs: `python -m outside.judge [--half w|j] [--preset NAME ...] [--jpeg QUALITY]`.
 
-Markers under glints count in their own column alone. Of the others:
+Markers under glints count only in their own column. For the others:
 - missed: not SEEN; wrong: SEEN, and nearest to another marker's true centre;
 - centres: error of SEEN centres, px rms an axis, and that of a detector on each image alone over the variance that it
   states: NSE, 1 is right, less is too cautious; strays: detections beyond 2 px of every centre, for each image;
@@ -31,7 +31,7 @@ PRESETS = ("fast", "balanced", "exact")
 
 @dataclass
 class Figures:
-    """What one preset did on some sequences."""
+    """Results of one preset on some sequences."""
 
     markers: int = 0
     seen: int = 0
@@ -68,7 +68,7 @@ class Figures:
 
 
 def mean_and_median(parts: list[Array]) -> str:
-    """Both, of all values, or nothing where there are none."""
+    """Mean and median of all values, as text; empty without values."""
     values = np.concatenate(parts) if parts else np.empty(0)
     return f"{values.mean():.3f} ({np.median(values):.3f})" if len(values) else ""
 
@@ -85,7 +85,7 @@ def f1(found: Flags, true: Flags) -> float:
 
 
 def under_glints(sequence: Sequence, index: int) -> Flags:
-    """Markers that a light's reflection covers or touches in either view."""
+    """Mask of markers covered or touched by a reflection in either view."""
     covered = np.zeros(sequence.truth["left_px"].shape[1], dtype=bool)
     for view in ("left", "right"):
         image = sequence.clean(index, view)
@@ -133,7 +133,7 @@ def add(figures: Figures, sequence: Sequence, index: int, frame: gelstereo.Frame
 def add_detections(
     figures: Figures, detector: gelstereo.Detector, image: npt.NDArray[np.uint8], true_px: Array, glint: Flags
 ) -> None:
-    """Compare what a detector finds in one image with the markers' true centres."""
+    """Compare a detector's centres in one image with the markers' true centres."""
     found = detector.detect(image)
     far = np.linalg.norm(found.centres_px[:, None] - true_px[None], axis=2)
     nearest, close = far.argmin(axis=1), far.min(axis=1) < 2.0
@@ -148,7 +148,7 @@ def add_detections(
 def judged(
     preset: str, sequences: list[Sequence], condition: Condition, changes: dict[str, object]
 ) -> Figures:
-    """Run a preset on whole sequences, each from its own rest frame."""
+    """Run a preset on complete sequences, each from its own rest frame."""
     figures = Figures()
     for sequence in sequences:
         params = gelstereo.Params.preset(preset).replace(

@@ -1,9 +1,9 @@
-"""Judge contact on all stored contacts, without images:
-`python -m outside.judge_contacts [--half w|j] [--noise-um SIGMA]`.
+"""Evaluate contact detection on all stored contacts, without images: `python -m outside.judge_contacts [--half w|j]
+[--noise-um SIGMA]`.
 
-Markers 0.85 mm apart carry the true motion and noise along z; the rules say which of them touch. F1 is the mean
-over contacts under which four markers or more touch; `found` is the share of all contacts with a touching marker of
-which at least one is found.
+Markers 0.85 mm apart have the true displacement and noise along z, and the rules classify them. F1 is the mean over
+contacts with at least four markers in contact. `found` is the share of contacts, among those with a marker in contact,
+in which at least one is found.
 """
 
 from __future__ import annotations
@@ -35,19 +35,19 @@ RULES: list[Rule] = [
 
 @dataclass
 class Scores:
-    """Of one rule: F1 of contacts under which four markers or more touch; whether any touching one is found."""
+    """Scores of one rule: F1 of contacts with at least four markers in contact; whether at least one is found."""
 
     f1: list[float] = field(default_factory=list)
     found: list[bool] = field(default_factory=list)
 
 
 def group(contact: Field) -> str:
-    """What a contact counts for: its law, or its gel."""
+    """Group of a contact: its law, or its gel."""
     return str(contact.meta.get("law") or f"gel {contact.meta['gel']}")
 
 
 def salient(flat: Array, moved: Array, sigma_mm: float, rule: str, setting: float) -> Flags:
-    """Which markers touch, by a rule and its length in mm: a threshold, or a decay length."""
+    """Markers in contact by a rule and its parameter in mm, a threshold or a decay length."""
     rest = gelstereo.RestSurface(flat)
     indentation = rest.indentation_mm(moved)
     if rule == "depth":
@@ -68,7 +68,7 @@ def judge(sigma_mm: float, half: str, rules: list[Rule]) -> dict[str, dict[Rule,
     """Scores of every rule on the contacts of a half, by law or gel."""
     along = (np.arange(ROWS) - 0.5 * (ROWS - 1)) * PITCH_MM
     y, x = np.meshgrid(along, along, indexing="ij")
-    # Off the part's middle, as parts are.
+    # Lattice offset from the part's middle, as in practice.
     points = np.stack((x.ravel() + 0.17, y.ravel() - 0.29), axis=1)
     flat = np.column_stack((points, np.full(len(points), SURFACE_MM)))
     scores: dict[str, dict[Rule, Scores]] = defaultdict(lambda: defaultdict(Scores))

@@ -1,7 +1,7 @@
-"""Judge presets and plain OpenCV on drawn discs: `python -m outside.judge_discs [--seeds N] [--only NAME ...]`.
+"""Evaluate presets and plain OpenCV on drawn discs: `python -m outside.judge_discs [--seeds N] [--only NAME ...]`.
 
-Columns: markers found (a detection within 1.5 px) and false detections an image; centre rms, px an axis; then of the
-pipeline over a sequence: failed frames, SEEN, and markers that are SEEN as another one.
+Columns: markers found (a detection within 1.5 px) and false detections per image; centre rms, px per axis; then, for
+the pipeline over a sequence, failed frames, SEEN markers, and markers that are SEEN with another identity.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from .discs import CONDITIONS, SIDE, Array, Condition, Find, Image, Print, openc
 
 PRESETS = ("paper", "fast", "balanced", "exact")
 NEAR_PX = 1.5
-#: Sideways, sideways, and depth of a press in the middle, mm.
+#: Lateral shift along x and y, and depth of a press in the middle, mm.
 MOTION = ((0.0, 0.0, 0.0), (0.03, 0.01, 0.1), (0.08, -0.03, 0.3), (0.15, 0.02, 0.6), (0.2, 0.1, 0.8))
 
 
 @dataclass
 class Score:
-    """What one method did in one condition."""
+    """Results of one method under one condition."""
 
     markers: int = 0
     found: int = 0
@@ -52,7 +52,9 @@ class Score:
         self.errors_px.append(found_px[near] - true_px[which[near]])
 
     def add_frame(self, frame: gelstereo.Frame, true_px: tuple[Array, Array], names: Array) -> None:
-        """Compare labels with truth, whose markers have these names: a turned print may begin at another corner."""
+        """Compare labels with the truth, whose markers have these names; labels of a rotated print may start at another
+        corner.
+        """
         seen = np.asarray(frame.state).ravel() == MarkerState.SEEN
         self.named += len(seen)
         self.seen += int(seen.sum())
@@ -64,12 +66,12 @@ class Score:
 
     @property
     def found_share(self) -> float:
-        """Of all markers."""
+        """Share of all markers that were found."""
         return self.found / max(1, self.markers)
 
     @property
     def rms_px(self) -> float:
-        """Of centres, an axis."""
+        """Rms error of the centres per axis."""
         return float(np.sqrt(np.mean(np.concatenate(self.errors_px) ** 2))) if self.errors_px else np.nan
 
     def row(self, name: str, method: str) -> str:
@@ -101,7 +103,7 @@ HEAD = (
 
 
 def corner_names(found_px: Array, true_px: Array) -> Array:
-    """The true marker of each label, by the corner from which labels of a square lattice are nearest to the truth."""
+    """True marker of each label; the start corner is the one with the smallest error on a square lattice."""
     square = np.arange(SIDE * SIDE).reshape(SIDE, SIDE)
     turned = [np.rot90(square, quarter).ravel() for quarter in range(4)]
     far = [np.linalg.norm(true_px[names] - found_px, axis=1) for names in turned]
@@ -122,7 +124,7 @@ def detecting(preset: str, scene: Print) -> Find:
 
 
 def judged(condition: Condition, seeds: int, presets: tuple[str, ...] = PRESETS) -> dict[str, Score]:
-    """OpenCV and presets, by their names."""
+    """Scores of OpenCV and the presets, by name."""
     scores = {name: Score() for name in ("OpenCV", *presets)}
     for seed in range(1, seeds + 1):
         scene = Print(condition, seed)
@@ -151,7 +153,7 @@ def judged(condition: Condition, seeds: int, presets: tuple[str, ...] = PRESETS)
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Prints the table."""
+    """Print the table."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -1,18 +1,19 @@
-"""Judge registration under other laws than the simulator's: `python -m outside.judge_registration`.
+"""Evaluate registration under other laws than the simulator's: `python -m outside.judge_registration`.
 
 The contacts are those of `data/grasped`; markers carry noise of 30 um along the camera's axis, half of it
 across. By law, over starts of 5 degrees and 1 mm, 10 and 2, 20 and 3.5, 30 and 5:
 
 - success, %: within 2 degrees and 0.3 mm over the directions that the contact determines, by start;
-- over the bound: rms error of the successes over the Cramer-Rao bound, of the median answer;
-- within 95 %: successes of which the truth lies in the region that their covariance states for 95 %;
+- over the bound: rms error of the successes over the Cramer-Rao bound, median;
+- within 95 %: successes with the truth inside the 95 % region of their covariance;
 - NEES: squared error of successes over the stated variance, per direction, median and mean; 1 is right;
-- beyond 3x: successes of which the truth lies farther than three times that region's radius;
+- beyond 3x: successes with the truth beyond three times that region's radius;
 - right: successes by verdict, `unsure` and `does_not_fit`;
-- wrong believed: answers with the verdict `fits`, of another part; of guesses on another face, turned end
-  for end or by a quarter; of ordinary starts that did not succeed, where no alternative is the truth.
+- wrong believed: wrong results with the verdict `fits`: with another part; from guesses on another face, turned end for
+  end or by a quarter; from ordinary starts without success, where no alternative is the truth.
 
-Answers that lie on the part as the truth does count in none of these: no height could tell them apart.
+Results that are equivalent to the truth by the part's surface are not counted, because no height could distinguish
+them.
 """
 
 from __future__ import annotations
@@ -47,16 +48,17 @@ Array = npt.NDArray[np.float64]
 
 SIGMA_MM = 0.03 * np.array([0.5, 0.5, 1.0])
 STARTS = [Start(f"{deg:.0f} deg", deg, mm) for deg, mm in ((5.0, 1.0), (10.0, 2.0), (20.0, 3.5), (30.0, 5.0))]
-# As in `gelstereo_bench.frontier.grasps`: steeper faces than this, cosine, do not count in the bound.
+# As in `gelstereo_bench.frontier.grasps`: faces steeper than this, as a cosine, are ignored in the bound.
 STEEP_COSINE = 0.35
 MIN_SALIENT = 12
-# Markers that touch lie this near to the part, rms, and none lies deeper in it: two and five standard deviations.
+# Limits for an equivalent pose: rms distance of markers in contact, and largest penetration: two and five standard
+# deviations.
 ALIKE_MM, WITHIN_MM = 0.06, 0.15
 
 
 @dataclass(frozen=True)
 class Judged:
-    """A contact, and what noise hides of it."""
+    """A contact, with and without noise."""
 
     law: str
     seed: int
@@ -65,13 +67,13 @@ class Judged:
     touching: npt.NDArray[np.bool_]
 
     def is_alike(self, found: Array) -> bool:
-        """Whether the part lies at a pose as the gel without noise says."""
+        """Whether a pose is consistent with the gel without noise."""
         back = (self.true_points_mm - found[:3, 3]) @ found[:3, :3]
         off = self.grasp.template.closest(back).distances_mm
         return bool(np.sqrt(np.mean(off[self.touching] ** 2)) < ALIKE_MM and off.min() > -WITHIN_MM)
 
     def elsewhere(self) -> Array:
-        """A guess on another face: turned end for end about the press, or a quarter about the part's axis."""
+        """A guess on another face: end for end about the press direction, or a quarter turn about the part's axis."""
         turn = [0.0, 0.0, np.pi] if self.seed % 2 else list(0.5 * np.pi * self.grasp.t_sensor_object[:3, 2])
         about = np.eye(4)
         about[:3, 3] = self.grasp.centre_mm
@@ -80,7 +82,7 @@ class Judged:
 
 
 def contacts(half: str) -> Iterator[Judged]:
-    """All of a half, with their noise."""
+    """All contacts of a half, with noise."""
     templates = {
         press.name: Template.from_mesh(press.make(), units="mm", spacing_mm=0.3).with_grid()
         for press in GRASPED
@@ -113,7 +115,7 @@ def contacts(half: str) -> Iterator[Judged]:
 
 @dataclass
 class Figures:
-    """Of one law."""
+    """Figures of one law."""
 
     success: dict[str, list[bool]] = field(default_factory=lambda: defaultdict(list))
     over_bound: list[float] = field(default_factory=list)
@@ -154,13 +156,13 @@ HEAD = (
 
 
 def percent(flags: object) -> float:
-    """Share of what is so."""
+    """Percentage of true values."""
     found = np.asarray(flags, dtype=bool)
     return 100.0 * float(found.mean()) if len(found) else float("nan")
 
 
 def registered(one: Judged, template: Template, guess: Array, params: Params) -> Localization | None:
-    """With all that is sensed; None where it is refused."""
+    """Registration with all sensed data; None if it is refused."""
     grasp = one.grasp
     try:
         return localize(
@@ -176,7 +178,7 @@ def registered(one: Judged, template: Template, guess: Array, params: Params) ->
 
 
 def believed(found: Localization | None) -> bool:
-    """Whether a pose is said to explain the contact."""
+    """Whether a pose has the verdict that it explains the contact."""
     return found is not None and found.verdict == "fits"
 
 
@@ -197,7 +199,7 @@ def judge(one: Judged, other: Grasp, params: Params, figures: Figures) -> None:
             listed = any(grasp.score(np.asarray(pose)).success for pose, _ in found.alternatives)
             figures.failed_believed.append(believed(found) and not listed)
     guess = np.array(grasp.guess(STARTS[1], one.seed))
-    # Where the other part's middle is, not its origin.
+    # At the other part's middle instead of its origin.
     shift = guess[:3, :3] @ (grasp.mesh.bounds.mean(axis=0) - other.mesh.bounds.mean(axis=0))
     guess[:3, 3] += shift
     figures.other_part.append(believed(registered(one, other.template, guess, params)))
@@ -226,7 +228,7 @@ def main() -> int:
     if options.budget:
         params = params.replace({"register.surface_search.budget": options.budget})
     if options.without_gel:
-        # A gel that comes back to rest within a pitch is not asked.
+        # A gel that returns to rest within a pitch is not evaluated.
         params = params.replace({"contact.decay_mm": 0.5})
     every = list(contacts(options.half))
     by_part = {one.grasp.part: one.grasp for one in every}

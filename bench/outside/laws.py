@@ -1,6 +1,6 @@
 """Surfaces under a rigid part by simple laws: no shoulder, an exponential one, and a stretched membrane.
 
-Heights are over the gel's back; the free surface is at the thickness. Sideways motion is none.
+Heights are above the gel's back; the free surface is at the thickness. There is no lateral motion.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ Array = npt.NDArray[np.float64]
 
 
 def underside(part: Posed, along_mm: Array, surface_mm: float) -> Array:
-    """How far the part reaches below the free surface at every point of a square grid (0 beside it)."""
+    """Depth of the part below the free surface at every point of a square grid (0 beside it)."""
     y, x = np.meshgrid(along_mm, along_mm, indexing="ij")
     low = np.full_like(x, surface_mm - 5.0)
     inside = np.zeros(x.shape, dtype=bool)
-    # March up until the part is met: the distance is a safe stride.
+    # Sphere tracing upwards until the part is reached; the signed distance is a safe step.
     for _ in range(200):
         points = np.stack((x.ravel(), y.ravel(), low.ravel()), axis=1)
         gap = part.distance(points).reshape(x.shape)
@@ -32,7 +32,7 @@ def underside(part: Posed, along_mm: Array, surface_mm: float) -> Array:
 
 
 def exponential(depth: Array, along_mm: Array, length_mm: float) -> Array:
-    """Every point hangs from those in contact: depth times exp(-distance / length), the largest of all."""
+    """Height from the points in contact: the maximum of depth times exp(-distance / length)."""
     y, x = np.meshgrid(along_mm, along_mm, indexing="ij")
     points = np.stack((x.ravel(), y.ravel()), axis=1)
     pressed = depth.ravel() > 0
@@ -45,7 +45,7 @@ def exponential(depth: Array, along_mm: Array, length_mm: float) -> Array:
 
 
 def membrane(depth: Array, along_mm: Array, length_mm: float) -> Array:
-    """Stretched over springs (tension over stiffness = length^2) and pushed by an obstacle; edges held.
+    """A membrane on springs (tension over stiffness = length^2), pushed by an obstacle, with fixed edges.
 
     The obstacle problem u >= depth, u - length^2 laplacian(u) >= 0 by the primal-dual active set
     (Hintermueller, Ito and Kunisch 2002), which ends after finitely many sets.

@@ -1,4 +1,4 @@
-"""Light on the print and on what stands round it. Import after `mitsuba.set_variant`."""
+"""Light on the print and on its surroundings. Import after `mitsuba.set_variant`."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .scene import Surroundings
 Array = npt.NDArray[np.float64]
 
 CELLS = 64
-# Of the rings' maps: 0.25 mm a cell.
+# Extent of the rings' maps: 0.25 mm per cell.
 RING_CELLS, REACH_MM = 128, 16.0
 
 
@@ -35,8 +35,8 @@ def traced(
 ) -> Light:
     """Irradiance by tracing photons from the light chips, until their ninth surface.
 
-    Photons cross and bounce off the layers, bounce off tray and print, and are counted where they meet print and
-    rings. Counts are smoothed over 1.5 cells: half a millimetre on the print, where noise of about 1 % is left.
+    Photons are transmitted and reflected by the layers, reflected by tray and print, and counted where they hit print
+    and rings. Counts are smoothed over 1.5 cells, half a millimetre on the print; about 1 % of noise remains.
     """
     mesh = scene.skin(surface, optics, None, 0.6)
     parts = scene.rings(optics, around, surface.half_mm)
@@ -77,7 +77,7 @@ def traced(
 def emitted(
     chips: list[tuple[Array, Array, str]], power: Array, photons: int, rng: np.random.Generator
 ) -> mi.Ray3f:
-    """Photons that leave the chips, as many from each as its power says, by Lambert's law."""
+    """Photons emitted by the chips by Lambert's law, in proportion to each chip's power."""
     chosen = rng.choice(len(chips), photons, p=power / power.sum())
     middles, halves = (np.array([chip[k] for chip in chips]) for k in (0, 1))
     start = middles[chosen] + np.array([*MIDDLE_MM, 0.0])

@@ -1,4 +1,4 @@
-"""Two cameras that look through flat layers at a print: geometry, Snell's law and the rig as TOML.
+"""Two cameras that view a print through flat layers: geometry, Snell's law and the rig as TOML.
 
 Lengths are millimetres. The world's origin is the left camera's centre; its z axis is the normal of the layers
 and points away from the cameras. The sensor frame is the left camera's: x right, y down, z along the axis.
@@ -35,14 +35,14 @@ class Camera:
     aperture_mm: float = 0.3
 
     def pixels(self, directions: Array) -> Array:
-        """Where rays along `directions` (world, n x 3) meet the image, px."""
+        """Pixels of rays along `directions` (world, n x 3)."""
         d = directions @ self.rotation
         return np.asarray(self.f_px * d[:, :2] / d[:, 2:] + np.asarray(self.c_px))
 
 
 @dataclass(frozen=True)
 class Optics:
-    """Air, an acrylic plate and a gel of one thickness, seen by two cameras that lean a little."""
+    """Air, an acrylic plate and a gel of constant thickness, seen by two slightly tilted cameras."""
 
     thickness_mm: float
     gap_mm: float = 20.0
@@ -71,8 +71,8 @@ class Optics:
     def directions(self, camera: Camera, points_mm: Array) -> Array:
         """Directions in air, at the camera, of the rays that reach points in the gel (world, n x 3).
 
-        Newton's method for the ray's slope in air: lateral shifts in the layers add up to the point's distance
-        from the camera's normal.
+        Newton's method for the ray's slope in air: the lateral shifts in the layers sum to the point's lateral distance
+        from the camera.
         """
         offset = points_mm - camera.centre_mm
         across = np.hypot(offset[:, 0], offset[:, 1])
@@ -102,7 +102,7 @@ class Optics:
         return np.asarray((points_mm - self.left.centre_mm) @ self.left.rotation)
 
     def rig_toml(self) -> str:
-        """The rig as `gelstereo.Rig.from_toml` reads it, layers included."""
+        """The rig as TOML for `gelstereo.Rig.from_toml`, including layers."""
         rotation = self.right.rotation.T @ self.left.rotation
         translation = self.right.rotation.T @ (self.left.centre_mm - self.right.centre_mm)
         normal = self.left.rotation.T @ np.array([0.0, 0.0, 1.0])

@@ -1,7 +1,7 @@
-"""Rigid parts by their signed distances, and their motion. Parts stand over the gel: they press towards -z.
+"""Rigid parts as signed distance functions, and their motion. Parts are above the gel and press towards -z.
 
-Here z is the height over the gel's bonded back, so that the gel's free surface is at its thickness. World
-coordinates follow by adding the back's height: both z axes point away from the cameras.
+Here z is the height above the gel's bonded back, so the gel's free surface is at its thickness. Adding the back's
+height gives world coordinates; both z axes point away from the cameras.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from .optics import turned
 
 Array = npt.NDArray[np.float64]
 
-# Per mm; twice that of the sharpest rounded edge of the solids.
+# Limit of the curvature, per mm; twice that of the sharpest rounded edge of the solids.
 MAX_CURVATURE = 8.0
 
 
@@ -39,8 +39,8 @@ def to_outline(points: Array, corners: Array) -> Array:
 class Part:
     """A ball; a box, cylinder (axis along x) or plate (an outline along x and y) with rounded edges; a group of these.
 
-    It is turned about its own origin. `half_mm` are the box's half sides, half the cylinder's length and its radius
-    twice, or the plate's half thickness thrice. A group's parts stand where `at_mm` says.
+    It is rotated about its own origin. `half_mm` is the half sides of a box, (half length, radius, radius) of a
+    cylinder, or the half thickness of a plate in all three entries. `at_mm` is the position of a group's part.
     """
 
     kind: str
@@ -92,7 +92,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Posed:
-    """A part at `middle_mm`, turned about z by `twist_deg` more than it is by itself."""
+    """A part at `middle_mm`, with an additional rotation about z by `twist_deg`."""
 
     part: Part
     middle_mm: Array
@@ -114,13 +114,13 @@ class Posed:
         )
 
     def curvature(self, points: Array, step: float = 1e-3) -> Array:
-        """Second derivatives of the distance (n x 3 x 3), cut off where faces meet without a rounded edge."""
+        """Second derivatives of the distance (n x 3 x 3), clipped where faces meet without a rounded edge."""
         axes = step * np.eye(3)
         found = [(self.slope(points + a) - self.slope(points - a)) / (2 * step) for a in axes]
         return np.clip(np.stack(found, axis=2), -MAX_CURVATURE, MAX_CURVATURE)
 
     def carried(self, points: Array, before: Posed) -> Array:
-        """How far the part carries points that stick to it, from `before` to now (n x 3, mm)."""
+        """Displacement of points that stick to the part, from `before` to now (n x 3, mm)."""
         own = (points - self.middle_mm) @ self.rotation
         return points - (own @ before.rotation.T + before.middle_mm)
 
@@ -128,7 +128,7 @@ class Posed:
 def at_touch(
     part: Part, thickness_mm: float, middle_mm: tuple[float, float], reach_mm: float = 12.0
 ) -> Posed:
-    """The part over a flat gel, at the height at which it just touches it."""
+    """The part at first touch of a flat gel."""
     grid = np.linspace(-reach_mm, reach_mm, 481)
     x, y = (a.ravel() for a in np.meshgrid(grid, grid))
     on_gel = np.stack((x, y, np.full_like(x, thickness_mm)), axis=1)

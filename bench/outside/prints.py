@@ -1,4 +1,4 @@
-"""The print on a gel: a lattice of dots with errors of place and size, and the bent surface that carries it."""
+"""The print on a gel: a lattice of dots with errors of position and size, on a deformable surface."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from scipy.interpolate import RectBivariateSpline
 Array = npt.NDArray[np.float64]
 
 ROWS = COLS = 25
-# The print's middle in the world, between the cameras.
+# The print's middle in world coordinates, between the cameras.
 MIDDLE_MM = np.array([4.0, 0.0])
 
 
 @dataclass(frozen=True)
 class Print:
-    """Dots of a stencil print. Errors are normal: of place 8 um a axis, of radius 3 %."""
+    """Dots of a stencil print. Errors are normal: 8 um per axis in position, 3 % in radius."""
 
     pitch_mm: float
     radius_mm: float
@@ -71,7 +71,7 @@ class Skin:
         """Move the print's points by a field on a square grid of material coordinates.
 
         `along_mm` are the grid's coordinates from the print's middle, the same for x and y; `motion_mm` is
-        n x n x 3 with rows along y. Cubic splines lie between.
+        n x n x 3 with rows along y. Values between are cubic splines.
         """
         count = 2 * round(half_mm / step_mm) + 1
         at = np.linspace(-half_mm, half_mm, count)
@@ -90,7 +90,7 @@ class Skin:
         return cls.moved(along, np.zeros((5, 5, 3)), half_mm, surface_mm)
 
     def triangles(self) -> npt.NDArray[np.uint32]:
-        """Two triangles a cell, the diagonal from its first to its last corner, facing the cameras."""
+        """Two triangles per cell, with the diagonal from its first to its last corner, facing the cameras."""
         n = len(self.vertices_mm)
         index = np.arange(n * n, dtype=np.uint32).reshape(n, n)
         a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
@@ -98,7 +98,7 @@ class Skin:
         return np.concatenate([t.reshape(-1, 3) for t in two])
 
     def at(self, material_mm: Array) -> Array:
-        """Where points of the print (n x 2, mm from its middle) are, on the very triangles (n x 3, world)."""
+        """Positions (n x 3, world) on the mesh's triangles of points of the print (n x 2, mm from its middle)."""
         n = len(self.vertices_mm)
         scaled = (material_mm + self.half_mm) / (2 * self.half_mm) * (n - 1)
         cell = np.clip(np.floor(scaled).astype(int), 0, n - 2)

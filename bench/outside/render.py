@@ -1,9 +1,8 @@
-"""Render the pairs of `sequences.toml` that data/images does not have: `python -m outside.render [--list] [NAME ...]`.
+"""Render the pairs of `sequences.toml` that are missing in data/images: `python -m outside.render [--list] [NAME ...]`.
 
-A picture is put together of three: the print, glowing as brightly as light reaches it, seen through the layers by a
-thin lens; tray and mount likewise; and the lights' reflections in the
-acrylic's front. So a pair takes seconds, and is free of the noise that path tracing alone leaves.
-Needs `requirements.txt` and LLVM (DRJIT_LIBLLVM_PATH).
+A picture is the sum of three: the print, as an emitter with its irradiance, seen through the layers by a thin lens;
+tray and mount in the same way; and the lights' reflections in the acrylic's front. A pair then takes seconds, without
+the noise of pure path tracing. Needs `requirements.txt` and LLVM (DRJIT_LIBLLVM_PATH).
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ import tomllib
 
 mi.set_variant("llvm_ad_mono")
 
-# Mitsuba's classes exist once a variant is set.
+# Mitsuba's classes exist only after a variant is set.
 from . import contacts, light, scene  # noqa: E402
 from .fields import Field  # noqa: E402
 from .optics import Camera, Optics  # noqa: E402
@@ -47,7 +46,7 @@ def table() -> dict[str, Any]:
 
 
 class Sensor:
-    """One sensor: optics, print, surroundings, and what of its pictures no contact changes."""
+    """One sensor: optics, print, surroundings, and the parts of its pictures that contact does not change."""
 
     def __init__(self, entry: dict[str, Any]) -> None:
         gel = contacts.table()["gels"][entry["gel"]]
@@ -69,17 +68,17 @@ class Sensor:
         return {"a": lights[0], "b": lights[1]}
 
     def _lit(self, lights: tuple[float, float]) -> light.Light:
-        """Light on print and tray at rest; contacts hardly change that on the tray."""
+        """Light on print and tray at rest; contacts hardly change the light on the tray."""
         return light.traced(self.optics, self.around, self.flat, self.levels(lights), PHOTONS, 0)
 
     def texture(self, irradiance: Array) -> Array:
-        """What the print radiates at an exposure of 1."""
+        """Radiance of the print at an exposure of 1."""
         smooth = cv2.resize(irradiance, self.reflectance.shape[::-1], interpolation=cv2.INTER_CUBIC)
         # Cubic interpolation may undershoot.
         return np.asarray(self.reflectance * np.maximum(smooth, 0.0) / np.pi)
 
     def see(self, camera: Camera, surface: Skin, texture: Array, **more: Any) -> Array:
-        """The glowing print alone."""
+        """Image of the emitting print alone."""
         world = mi.load_dict(
             {
                 "type": "scene",
@@ -154,7 +153,7 @@ class Sensor:
 
 
 def render(entry: dict[str, Any], sensors: dict[str, Any]) -> None:
-    """All pairs of a sequence that are missing, and then its truth."""
+    """Render all missing pairs of a sequence, and then its truth."""
     sensor = Sensor(sensors[entry["sensor"]])
     lights = entry.get("lights") or [list(sensor.lights)] * len(entry["frames"])
     truths = []
@@ -190,15 +189,14 @@ def missing(entry: dict[str, Any]) -> list[int]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Render what is missing, or list it."""
+    """Render the missing pairs, or list them."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("names", nargs="*", help="sequences; all without")
     parser.add_argument("--list", action="store_true", help="say what is left to render")
     options = parser.parse_args(arguments)
     sequences = table()
     DATA.mkdir(parents=True, exist_ok=True)
-    # Two threads leave the machine to others.
-    # Two threads by default leave the machine to others.
+    # Two threads by default, to leave processors to other programs.
     dr.set_thread_count(int(os.environ.get("OUTSIDE_THREADS", "2")))
     for entry in sequences["sequences"]:
         left = missing(entry)

@@ -21,9 +21,9 @@ Node = dict[str, Any]
 
 
 class Clear(mi.BSDF):
-    """A smooth interface of two dielectrics that light only crosses, or off which it only bounces.
+    """A smooth interface of two dielectrics with transmission only, or reflection only.
 
-    `path` chooses one of both by chance; an image of either alone has no noise of that choice.
+    `path` selects one of both at random; rendering them separately avoids the noise of that choice.
     """
 
     def __init__(self, props: mi.Properties) -> None:
@@ -45,7 +45,7 @@ class Clear(mi.BSDF):
             sampled.wo, sampled.eta = mi.reflect(si.wi), 1.0
             return sampled, mi.Spectrum(share) & active
         sampled.wo, sampled.eta = mi.refract(si.wi, cosine_across, eta_ti), eta_it
-        # Radiance shrinks with the square of the index on its way out.
+        # Radiance decreases with the square of the refractive index when light leaves the medium.
         return sampled, mi.Spectrum((1 - share) * dr.square(eta_ti)) & active
 
     def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
@@ -62,7 +62,7 @@ class Clear(mi.BSDF):
 
 
 class Sight(mi.SamplingIntegrator):
-    """Radiance that comes straight from lights and glowing surfaces, after at most `turns` smooth interfaces."""
+    """Radiance directly from lights and emitting surfaces, after at most `turns` smooth interfaces."""
 
     def __init__(self, props: mi.Properties) -> None:
         mi.SamplingIntegrator.__init__(self, props)
@@ -93,7 +93,7 @@ mi.register_integrator("sight", Sight)
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What stands round the gel. Strips of light lie in the air, `strip_y_mm` and `strip_x_mm` from the middle."""
+    """Surroundings of the gel. Light strips are in the air, `strip_y_mm` and `strip_x_mm` from the middle."""
 
     strip_x_mm: float = 13.0
     strip_y_mm: float = 11.2
@@ -117,9 +117,10 @@ class Surroundings:
 
 
 def epsilon_mm(height_mm: float) -> float:
-    """How far Mitsuba's single precision moves a ray that starts at this height, along the normal.
+    """Offset along the normal that Mitsuba's single precision adds to a ray's origin at this height.
 
-    `Interaction::offset_p` of Mitsuba 3: (1 + largest coordinate) times 1500 ulp / 2. Heights are the largest.
+    `Interaction::offset_p` of Mitsuba 3: (1 + largest coordinate) times 1500 ulp / 2. Heights are the largest
+    coordinates.
     """
     return (1.0 + abs(height_mm)) * float(np.finfo(np.float32).eps) / 2 * 1500
 
@@ -131,7 +132,7 @@ def rectangle(middle: Array, half: Array, up: bool = False, **extra: Node) -> No
 
 
 def interfaces(optics: Optics, kind: str = "dielectric", **extra: Any) -> Node:
-    """Both faces of the acrylic, the second moved by what the ray offset at the first takes away."""
+    """Both faces of the acrylic; the second is moved to compensate the ray offset at the first."""
     ends = ((optics.gap_mm, 1.0, optics.plate_index), (optics.back_mm, optics.plate_index, optics.gel_index))
     shapes, shift = {}, 0.0
     for k, (height, before, beyond) in enumerate(ends):
@@ -144,7 +145,7 @@ def interfaces(optics: Optics, kind: str = "dielectric", **extra: Any) -> Node:
 
 
 def lost_mm(optics: Optics) -> float:
-    """What ray offsets take from the way to the print."""
+    """Total ray offset on the path to the print."""
     return epsilon_mm(optics.gap_mm) + epsilon_mm(optics.back_mm)
 
 
@@ -160,7 +161,7 @@ def lights(around: Surroundings, levels: dict[str, float]) -> Node:
 
 @dataclass(frozen=True)
 class Ring:
-    """A square ring round the print, parallel to the layers; inner and outer are half sides."""
+    """A square ring around the print, parallel to the layers; inner and outer are half sides."""
 
     front_mm: float
     depth_mm: float
@@ -181,7 +182,7 @@ class Ring:
 
 
 def rings(optics: Optics, around: Surroundings, half_mm: float) -> dict[str, Ring]:
-    """Walls round the gel, a paler ledge outside them, and a mount before the acrylic with a window."""
+    """Walls around the gel, a brighter ledge outside them, and a mount with a window in front of the acrylic."""
     rim = half_mm + 1.0
     return {
         "wall": Ring(optics.back_mm + 0.01, optics.thickness_mm + 1.0, half_mm + 0.15, rim, around.wall),
@@ -203,7 +204,9 @@ def tray(parts: dict[str, Ring]) -> Node:
 
 
 def glowing(parts: dict[str, Ring], irradiances: dict[str, Array], reach_mm: float) -> Node:
-    """The rings' fronts, as bright as light on them makes them. Maps are square, rows along y, `reach_mm` each way."""
+    """The rings' fronts, with radiance from their irradiance. Maps are square, rows along y, `reach_mm` in each
+    direction.
+    """
     shapes: Node = {}
     for name, ring in parts.items():
         image = irradiances[name] * ring.reflectance / np.pi
@@ -216,7 +219,7 @@ def glowing(parts: dict[str, Ring], irradiances: dict[str, Array], reach_mm: flo
             texture = mi.Bitmap(np.ascontiguousarray(cut[..., None], dtype=np.float32))
             radiance = {"type": "bitmap", "bitmap": texture, "raw": True, "wrap_mode": "clamp"}
             at = np.array([*(middle + MIDDLE_MM), ring.front_mm])
-            # Scaled by -1 along y instead of turned, so that the texture's rows stay along y.
+            # Scaled by -1 along y instead of rotated, so that the texture's rows stay along y.
             place = mi.ScalarTransform4f().translate(at.tolist()).scale([*half, -1.0])
             shapes[f"{name}_front_{k}"] = {
                 "type": "rectangle",
@@ -228,7 +231,7 @@ def glowing(parts: dict[str, Ring], irradiances: dict[str, Array], reach_mm: flo
 
 
 def skin(surface: Skin, optics: Optics, texture: Array | None, reflectance: float = 0.0) -> Any:
-    """The print: glowing with `texture` (rows along y), or dull white for light that bounces off it."""
+    """The print: emitting `texture` (rows along y), or diffuse white for light reflected by it."""
     props = mi.Properties()
     if texture is not None:
         image = np.ascontiguousarray(texture[..., None], dtype=np.float32)
@@ -252,7 +255,7 @@ def skin(surface: Skin, optics: Optics, texture: Array | None, reflectance: floa
 
 
 def sensor(camera: Camera, focus_mm: float, samples: int, shrink: int = 1) -> Node:
-    """A thin lens. It has no principal point: its film is wider, and the image is cut out of it."""
+    """A thin lens. Mitsuba's has no principal point, so the film is wider and the image is cropped from it."""
     (width, height), (cx, cy) = camera.size_px, camera.c_px
     # Continuous coordinates of the axis are half a pixel more than those of pixel centres.
     left, right, top, bottom = cx + 0.5, width - cx - 0.5, cy + 0.5, height - cy - 0.5

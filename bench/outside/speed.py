@@ -1,12 +1,12 @@
-"""Time frames that move, with a tray in view, beside OpenCV: `python -m outside.speed`.
+"""Time moving frames with a tray in view, compared with OpenCV: `python -m outside.speed`.
 
-Each sequence's pairs are taken there and back, so every frame is another one. The core's own program is timed; it needs
-cargo and the sources. OpenCV is `gelstereo_bench.frontier.baseline_fast`, in the same run and in turn with the presets.
-Its threshold is set by hand, and it is given the markers' true places at rest.
+Each sequence's pairs are played forwards and backwards, so consecutive frames differ. The core's own program is timed;
+it needs cargo and the sources. OpenCV is `gelstereo_bench.frontier.baseline_fast`, in the same run and alternating with
+the presets. Its threshold is set by hand, and it receives the markers' true positions at rest.
 
-- tracking, ms: a frame that follows another, median;
+- tracking, ms: tracked frame, median;
 - afresh, ms: the same frames, each labelled as a first one;
-- OpenCV's time over this: how many times as fast that is.
+- OpenCV's time over this: the speed-up.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from .images import Condition, Sequence, names
 REPOSITORY = Path(__file__).parents[2]
 PRESETS = ("fast", "balanced", "exact")
 BASELINE = "OpenCV"
-# Calls in a row before others take their turn.
+# Consecutive calls before switching to another method.
 BURST = 5
 # Levels below the box background; a run ends where it loses more than a tenth of the markers.
 THRESHOLD_LEVELS = 12
@@ -42,7 +42,7 @@ Call = Callable[[str, int], list[int]]
 
 
 def baseline(sequence: Sequence, pairs: list[SimpleNamespace]) -> Call:
-    """OpenCV's frames, there and back."""
+    """OpenCV's times over the frames, forwards and backwards."""
     settings = gelstereo.Params.preset("balanced").replace({"lattice.pitch_mm": sequence.about["pitch_mm"]})
     params = settings.to_dict()
     params["detect"] |= {"threshold_levels": THRESHOLD_LEVELS, "min_area_px2": 12}

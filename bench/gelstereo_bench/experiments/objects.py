@@ -1,7 +1,7 @@
-"""The paper's contact objects (section V-A; Fig. 9 and 12): what the sensor makes of them, and where they are.
+"""The paper's contact objects (section V-A; Fig. 9 and 12): sensing and localization.
 
-Each object is pressed into the gel at poses drawn by chance, with a depth drawn by chance as well. Every preset senses
-the contact from the same images and localizes the object from the same guess.
+Each object is pressed into the gel at random poses and random depths. Every preset senses the contact from the same
+images and localizes the object from the same guess.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ OBJECTS = (
     Press("USB drive", parts.usb_drive, (2.0, 20.0), flat=True),
 )
 
-#: Guesses are up to so far off.
+#: Largest error of the guesses.
 START = STARTS[1]
-#: The method whose pose is drawn.
+#: Method whose pose is shown in the pictures.
 BEST = "exact, surface_search"
 
 _TOUCHING = 20
@@ -49,7 +49,7 @@ _PRESS_S = 0.4
 
 
 def methods() -> dict[str, Params]:
-    """Every preset, and the registration that searches the part's whole surface."""
+    """Every preset, and the registration with global search on the part's surface."""
     found = {f"preset {name}": Params.preset(name) for name in Params.presets()}
     return found | {BEST: Params.preset("exact").replace({"register": {"method": "surface_search"}})}
 
@@ -61,7 +61,7 @@ def inputs() -> dict[str, str]:
 
 
 def trials(repeats: int, seed: int) -> list[Trial]:
-    """Every object, `repeats` times; the first contact of each is drawn."""
+    """Every object, `repeats` times; the first contact of each is shown."""
     return [
         Trial({"object": item.name, "press": press}, keyed_seed(seed, "objects", item.name, press))
         for item in OBJECTS
@@ -72,8 +72,8 @@ def trials(repeats: int, seed: int) -> list[Trial]:
 def run(configuration: Configuration, seed: int) -> dict[str, Any]:
     """Press an object once, sense and localize it with every method.
 
-    The record holds the depth, what each method found (``methods``), and of the first press the ``picture`` (JPEG,
-    base64) and the height of every marker, true and measured.
+    The record has the depth and the results of each method (``methods``). For the first press it also has the
+    ``picture`` (JPEG, base64) and the height of every marker, true and measured.
     """
     item = next(item for item in OBJECTS if item.name == configuration["object"])
     mesh = item.make()
@@ -102,12 +102,12 @@ def run(configuration: Configuration, seed: int) -> dict[str, Any]:
 
 
 def _depth_mm(frame: SimulatedFrame) -> float:
-    """How deep the deepest marker is pressed, mm."""
+    """Indentation of the deepest marker, mm."""
     return round(float(frame.indentation_mm.max()), 6)
 
 
 def _press(item: Press, mesh: Any, path: Path, seed: int) -> tuple[Simulator, Array]:
-    """A sensor into which the object comes down along the camera's axis, and the pose where it stops."""
+    """Simulator of the object moving down along the camera's axis, and the object's final pose."""
     random = np.random.default_rng(seed)
     scene = VGA.scene().replace(
         {"seed": seed, "indenter": {"kind": "mesh", "path": str(path), "units": "mm"}}
@@ -140,10 +140,10 @@ def _sense(simulator: Simulator, params: Params, frames: list[SimulatedFrame]) -
 
 
 def _grasp(item: Press, mesh: Any, template: Template, pose: Array, truth: SimulatedFrame) -> Grasp:
-    """The contact with its bound, from the markers that truly touch.
+    """The contact with its bound, from the markers truly in contact.
 
-    Which directions count as determined is asked at the noise of docs/localization.md: at that of these images, a
-    round part's facets, a micrometre high, would seem to tell its spin.
+    Determined directions are selected with the noise of docs/localization.md. With the noise of these images, a round
+    part's facets, a micrometre high, would appear to determine its spin.
     """
     touching = truth.in_contact
     points_mm = np.asarray(truth.points_mm)[touching]
@@ -190,7 +190,7 @@ def _method(
 def _shown(
     item: Press, grasp: Grasp, result: dict[str, Any], truth: SimulatedFrame, rest: Frame, frame: Frame
 ) -> dict[str, Any]:
-    """What the report draws of the first press."""
+    """Data of the first press for the report's pictures."""
     pose = result.get("pose")
     part = None if pose is None else Part.located(grasp.mesh.vertices, grasp.mesh.faces, pose)
     found = "refused" if pose is None else f"{pose_in_words(pose)} found"

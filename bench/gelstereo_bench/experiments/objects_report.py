@@ -1,4 +1,4 @@
-"""What the records of contact objects say: the gallery of Fig. 12 with the truth beside it."""
+"""Report on the contact objects: the gallery of Fig. 12, compared with the truth."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def objects_report(
     inputs: Mapping[str, str],
     meshes: Mapping[str, Callable[[], trimesh.Trimesh]],
 ) -> Report:
-    """Make the table and the gallery of the records; `meshes` makes the objects by name."""
+    """Create the table and the gallery from the records; `meshes` creates the objects by name."""
     summary = summary_table(trials, records)
     findings: list[Block] = [
         Heading("All contacts"),
@@ -92,7 +92,7 @@ def _row(results: Sequence[Mapping[str, Any]]) -> list[str]:
 def _gallery(name: str, record: Record, mesh: trimesh.Trimesh) -> list[Block]:
     """One object: alone, in the gel, and against the truth."""
     size = " x ".join(f"{length:.1f}" for length in mesh.extents)
-    # Faces are drawn by the distance of their middles, which is right for small ones only.
+    # Faces are drawn in order of the distance of their centres, which is correct only for small faces.
     vertices, faces = trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, 3.0)
     alone = draw_template(
         np.asarray(vertices),

@@ -1,4 +1,4 @@
-"""The report of an experiment: what was asked, what was found, and what that rests on."""
+"""The report of an experiment: question, results, and provenance."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ __all__ = ["Report", "fill_page", "write_report"]
 
 @dataclass(frozen=True)
 class Report:
-    """What an experiment has to say.
+    """Contents of an experiment's report.
 
     Attributes
     ----------
     title
-        The page's name.
+        Title of the page.
     asked
-        What the experiment asks, and how the paper answers it.
+        Question of the experiment, and the paper's answer.
     conditions
-        What all figures hold for; begins with "simulated" where they are.
+        Conditions of all figures; starts with "simulated" for simulated data.
     findings
         Tables and figures.
     inputs
-        Scenes and settings that went in, as TOML, by name.
+        Scenes and settings used, as TOML, by name.
     summary
-        The tables that the manual shows.
+        Tables that the manual includes.
     """
 
     title: str
@@ -44,18 +44,18 @@ class Report:
 
 
 def write_report(path: Path, report: Report, *, seed: int, trials: Sequence[Trial]) -> str:
-    """Write a report as one HTML file; the same trials give the same file on the same machine.
+    """Write a report as one HTML file; the same trials give an identical file on the same machine.
 
     Parameters
     ----------
     path
-        Of the file; its folder exists.
+        Path of the file; its folder must exist.
     report
-        What it says.
+        The report.
     seed
-        Of the batch, from which those of the trials come.
+        Seed of the batch, from which the trials' seeds are derived.
     trials
-        Whose records went in.
+        Trials whose records were used.
 
     Returns
     -------
@@ -91,7 +91,7 @@ def _opening(report: Report) -> list[Block]:
 
 
 def _evidence(report: Report, seed: int, trials: Sequence[Trial]) -> list[Block]:
-    """Where the figures come from: enough to get them again, bit for bit."""
+    """Provenance of the figures, sufficient to reproduce them bit for bit."""
     names = sorted({name for trial in trials for name in trial.configuration})
     lines = [
         [*(_cell(trial.configuration.get(name)) for name in names), str(trial.seed), trial.digest[:12]]

@@ -1,4 +1,4 @@
-"""Finished trials on disk, so that a batch that is interrupted goes on where it stopped."""
+"""Finished trials on disk, so that an interrupted batch can be resumed."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gelstereo import Error
 
 __all__ = ["Record", "Store", "StoreError"]
 
-#: What a trial found, in JSON's terms.
+#: Result of a trial, JSON-compatible.
 Record: TypeAlias = dict[str, Any]
 
 _IDENTITY, _RECORDS = "batch.json", "records.jsonl"
@@ -24,22 +24,22 @@ class StoreError(Error):
 
 
 class Store:
-    """A folder of finished trials of one batch: what the batch is, and one line of JSON for each.
+    """A folder with the finished trials of one batch: the batch's identity, and one line of JSON per trial.
 
     Parameters
     ----------
     folder
-        Made if it does not exist.
+        Folder of the trials; created if it does not exist.
     identity
-        What the batch is, in JSON's terms: a folder holds trials of one identity only.
+        Identity of the batch, JSON-compatible; a folder has trials of one identity only.
     resume
-        Whether trials that the folder already holds are to be used.
+        Whether to use trials already in the folder.
 
     Raises
     ------
     StoreError
-        The folder holds trials and `resume` is not set, or they are of another identity, or damaged, or another
-        program is writing them.
+        The folder has trials and `resume` is not set; or they have another identity or are damaged; or another process
+        is writing them.
     """
 
     def __init__(self, folder: Path, identity: Mapping[str, Any], *, resume: bool = False) -> None:
@@ -58,18 +58,18 @@ class Store:
 
     @property
     def records(self) -> Mapping[str, Record]:
-        """Records of finished trials by the digests of these."""
+        """Records of finished trials by digest."""
         return MappingProxyType(self._records)
 
     def add(self, digest: str, record: Record) -> None:
-        """Keep a trial's record; it is on its way to the disk when this returns."""
+        """Store a trial's record and flush it to the system."""
         line = json.dumps({"trial": digest, "record": record}, allow_nan=False)
         self._file.write(line.encode() + b"\n")
         self._file.flush()
         self._records[digest] = record
 
     def close(self) -> None:
-        """Let other programs use the folder."""
+        """Release the folder for other processes."""
         self._file.close()
 
     def __enter__(self) -> Store:
@@ -123,7 +123,7 @@ class Store:
                 self._records[entry["trial"]] = entry["record"]
             except (ValueError, KeyError, TypeError) as error:
                 raise StoreError(f"{path}, line {number}, is damaged ({error}); remove that line") from error
-        # Whoever was stopped while writing left half a line.
+        # A process that was killed while writing leaves half a line.
         self._file.truncate(whole)
 
 

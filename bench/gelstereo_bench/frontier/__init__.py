@@ -1,1 +1,1 @@
-"""What accuracy costs: every rung of every ladder on fixed simulated scenes, beside a plain OpenCV baseline."""
+"""Accuracy against time: every rung of every stage on fixed simulated scenes, compared with a plain OpenCV baseline."""

@@ -1,8 +1,8 @@
-"""The paper's sensing pipeline in plain OpenCV, NumPy and SciPy: the yardstick, and the tests' second opinion.
+"""The paper's sensing pipeline in plain OpenCV, NumPy and SciPy: the baseline, and the tests' independent reference.
 
-It shares no code with the core. Every function takes its settings as arguments, so that defaults live in one place
-(`gelstereo.Params`); `Baseline` strings the functions together as section III of the paper does. Registration stands
-in `baseline_register`.
+It shares no code with the core. Every function takes its settings as arguments, so that defaults are defined in one
+place (`gelstereo.Params`). `Baseline` combines the functions as in section III of the paper. Registration is in
+`baseline_register`.
 """
 
 from __future__ import annotations
@@ -44,9 +44,9 @@ Image = npt.NDArray[np.uint8]
 def darker_than_surround(
     image: Image, *, smooth_kernel_px: int, background_kernel_px: int, bright: bool = False, box: bool = False
 ) -> Image:
-    """How much darker (brighter) every pixel is than its surround, 0 to 255: the difference of two Gaussians.
+    """Contrast of every pixel to its local background, 0 to 255: a difference of Gaussians.
 
-    With ``box`` the surround is the mean over a square instead.
+    With ``box`` the background is the mean over a square instead.
     """
     smooth = cv2.GaussianBlur(image, (smooth_kernel_px, smooth_kernel_px), 0)
     kernel = (background_kernel_px, background_kernel_px)
@@ -97,7 +97,7 @@ def grey_centroids(difference: Image, *, border_px: int = 2, **settings: Any) ->
     Pixels of other components have no weight. Settings as `binary_centroids`.
     """
     labels, _, _, markers = _marker_components(difference, **settings)
-    # Every component grows by the border; dots stand far enough apart that none grows into another.
+    # Every component is dilated by the border; dots are far enough apart that components do not merge.
     kernel = np.ones((2 * border_px + 1, 2 * border_px + 1), np.uint8)
     grown = np.asarray(cv2.dilate(labels.astype(np.float32), kernel))
     y, x = np.nonzero(grown)
@@ -131,9 +131,9 @@ def simple_blobs(difference: Image, *, threshold_levels: int, min_area_px2: int,
 def nearest_within_gate(
     tracks_px: Array, detected_px: Array, gate_px: float
 ) -> tuple[Array, npt.NDArray[np.bool_]]:
-    """Eq. 2: every track (N, 2) takes the detection nearest to it when that lies within the gate.
+    """Eq. 2: every track (N, 2) takes its nearest detection if that lies within the gate.
 
-    Returns the updated tracks and which of them were seen. A detection goes to the nearest of the tracks that claim it.
+    Returns the updated tracks and a mask of those seen. A detection claimed by several tracks goes to the nearest one.
     """
     if len(detected_px) == 0:
         return tracks_px.copy(), np.zeros(len(tracks_px), bool)
@@ -150,8 +150,9 @@ def nearest_within_gate(
 def foresight_sort(positions_px: Array, cols: int, tolerance_px: float) -> npt.NDArray[np.intp] | None:
     """Algorithm 1: the permutation that sorts markers (N, 2) row by row from left to right.
 
-    Its slips are read as what the text says: loops start at the first element, every row is ordered by abscissa, and
-    so is the last. ``None`` when a row does not fill, where the printed algorithm goes on silently.
+    Errors in the printed algorithm are corrected by its text: loops start at the first element, and every row,
+    including the last, is ordered by abscissa. ``None`` if a row does not fill, where the printed algorithm continues
+    silently.
     """
     x = positions_px[:, 0].tolist()
     remaining = np.lexsort((positions_px[:, 0], positions_px[:, 1])).tolist()
@@ -178,7 +179,7 @@ def foresight_sort(positions_px: Array, cols: int, tolerance_px: float) -> npt.N
 
 @dataclass(frozen=True)
 class StereoGeometry:
-    """What OpenCV needs of a rig."""
+    """A rig in OpenCV's terms."""
 
     left_matrix: Array
     left_distortion: Array
@@ -190,7 +191,7 @@ class StereoGeometry:
 
     @classmethod
     def from_rig_table(cls, rig: Mapping[str, Any]) -> StereoGeometry:
-        """From the parsed TOML of a rig file."""
+        """Create from the parsed TOML of a rig file."""
 
         def camera(table: Mapping[str, Any]) -> tuple[Array, Array]:
             matrix = np.array(
@@ -237,7 +238,7 @@ def triangulate_q(q: Array, left_px: Array, right_px: Array) -> Array:
 
 
 def indentation_mm(points_mm: Array, rest_mm: Array) -> Array:
-    """Height (N,) of points (N, 3) over their rest positions along the normal of the rest plane, towards the camera."""
+    """Height (N,) of points (N, 3) above their rest positions, along the rest plane's normal towards the camera."""
     normal = np.linalg.svd(rest_mm - rest_mm.mean(axis=0), full_matrices=False)[2][2]
     normal = normal if normal[2] < 0.0 else -normal
     return np.asarray((points_mm - rest_mm) @ normal, np.float64)
@@ -248,7 +249,7 @@ def indentation_mm(points_mm: Array, rest_mm: Array) -> Array:
 
 @dataclass(frozen=True)
 class BaselineFrame:
-    """What one stereo frame gave; marker ``row * cols + col`` stands at that index."""
+    """Results of one stereo frame; marker ``row * cols + col`` has that index."""
 
     left_px: Array
     right_px: Array
@@ -268,10 +269,10 @@ class Baseline:
         lattice: tuple[int, int] = (25, 25),
         box: bool = False,
     ) -> None:
-        """Take settings.
+        """Create the pipeline.
 
-        ``params``: the parsed TOML of `gelstereo.Params`; ``lattice``: rows and columns; ``box``: the surround is the
-        mean over a square.
+        ``params``: the parsed TOML of `gelstereo.Params`; ``lattice``: rows and columns; ``box``: whether the local
+        background is the mean over a square.
         """
         self._box = box
         self._rows, self._cols = lattice
@@ -345,7 +346,7 @@ class Baseline:
         return order
 
     def triangulate(self, left_px: Array, right_px: Array) -> Array:
-        """Points in the left camera's frame: undistort, rectify, Q, and back by the left rectifying rotation."""
+        """Points in the left camera's frame: undistort, rectify, apply Q, and undo the left rectifying rotation."""
         geometry = self._geometry
         left = cv2.undistortPoints(
             left_px[:, None], geometry.left_matrix, geometry.left_distortion, R=self._r_left, P=self._p_left

@@ -1,7 +1,7 @@
-"""What a good OpenCV user would write when speed matters: the yardstick of the tables of speed.
+"""A fast OpenCV implementation: the baseline of the speed tables.
 
-Box background, components, grey centroids over windows, nearest neighbours, triangulation with Q; everything in
-OpenCV's and NumPy's own loops, one thread. The markers' names are given with the first frame.
+Box background, connected components, grey centroids over windows, nearest neighbours, triangulation with Q. All loops
+are OpenCV's and NumPy's, on one thread. Labels are given with the first frame.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class FastBaseline:
     """Box background, components and grey centroids; tracks by nearest neighbours."""
 
     def __init__(self, geometry: StereoGeometry, params: Mapping[str, Any]) -> None:
-        """``params``: the parsed TOML of `gelstereo.Params`; of its ladders only this one rung exists here."""
+        """``params``: the parsed TOML of `gelstereo.Params`; only this one rung of each stage is implemented."""
         self._detect = params["detect"]
         self._gate_pitches = params["track"]["gate_pitches"]
         self._saliency_mm = params["contact"]["saliency_mm"]
@@ -70,7 +70,7 @@ class FastBaseline:
         return _refined(difference, centroids[good], area[good])
 
     def process(self, left: Image, right: Image, names: tuple[Array, Array] | None = None) -> BaselineFrame:
-        """Run all stages; ``names``, the places (N, 2) of all markers in order, begins anew."""
+        """Run all stages; ``names``, the positions (N, 2) of all markers in order, restarts tracking."""
         found = [self.detect(image) for image in (left, right)]
         if names is not None:
             self._tracks = [at[cKDTree(at).query(place)[1]] for at, place in zip(found, names, strict=True)]

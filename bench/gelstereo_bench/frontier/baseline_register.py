@@ -1,6 +1,6 @@
 """Registration in plain NumPy and SciPy: the paper's FilterReg and its comparison, RANSAC + ICP.
 
-As in the core, the patch (source) is fitted to the template (target) and the answer maps template to sensor.
+As in the core, the patch (source) is fitted to the template (target), and the result maps template to sensor.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ __all__ = ["filterreg", "icp", "ransac_icp", "rigid_fit"]
 
 Array = npt.NDArray[np.float64]
 
-#: Template points that can carry a Gaussian's weight; with the spacing and widths used here the rest is below 1e-3.
+#: Number of template points with Gaussian weights; with the spacing and widths used here, other weights are below 1e-3.
 _NEIGHBOURS = 24
 
 
@@ -74,8 +74,8 @@ def filterreg(
 ) -> Array:
     """FilterReg (Gao and Tedrake 2019): t_sensor_object (4, 4) from a guess; point to point or point to plane.
 
-    Every patch point is drawn to the Gaussian-weighted mean of the template around it, with the weight that a point
-    on the surface rather than an outlier has. The width follows the residuals down to its floor.
+    Every patch point is matched to the Gaussian-weighted mean of nearby template points, weighted by its inlier
+    probability. The width follows the residuals down to its minimum.
     """
     tree = cKDTree(template_mm)
     t_object_sensor = _inverse(guess)
@@ -87,10 +87,10 @@ def filterreg(
         nearest = distance[:, :1]
         gauss = np.exp(
             (nearest**2 - distance**2) / (2.0 * sigma**2)
-        )  # relative to the nearest: never underflows
+        )  # relative to the nearest, to avoid underflow
         total = gauss.sum(axis=1)
         mean = np.einsum("ij,ijk->ik", gauss, template_mm[index]) / total[:, None]
-        # On the surface the sum is 2 pi sigma^2 / spacing^2: the density that the outliers' share is held against.
+        # On the surface the sum is 2 pi sigma^2 / spacing^2, the density to which the outliers' density is compared.
         on_surface = total * np.exp(-(nearest[:, 0] ** 2) / (2.0 * sigma**2))
         outlier = outlier_share / (1.0 - outlier_share) * 2.0 * np.pi * sigma**2 / spacing_mm**2
         weights = on_surface / (on_surface + outlier)

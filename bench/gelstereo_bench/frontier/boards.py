@@ -1,4 +1,4 @@
-"""The paper's boards (section V-A): how high a block seems that stands in the gel."""
+"""The paper's boards (section V-A): measured height of a block pressed into the gel."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ Array = npt.NDArray[np.float64]
 
 BASELINE = "OpenCV pipeline (baseline)"
 
-#: Limits of the largest mean error and of the spread, um.
+#: Targets of the largest mean error and of the standard deviation, um.
 _LIMITS_UM = {"boards": (4.0, 8.0), "refraction": (4.0, 10.0)}
 
 
 def measure_boards(presses: int, report: Report) -> tuple[list[Table], list[Target]]:
     """Measure height errors of the markers on the block: mean (standard deviation) per protrusion and method, um.
 
-    Once with cameras that see the markers directly, and once through air, acrylic and gel.
+    Cameras see the markers directly, or through air, acrylic and gel.
     """
     tables, targets = [], []
     for name, scene in board_scenes().items():
@@ -38,7 +38,7 @@ def measure_boards(presses: int, report: Report) -> tuple[list[Table], list[Targ
 
 
 def board_scenes() -> dict[str, Scene]:
-    """Give the sensors: cameras that see the markers directly, and through air, acrylic and gel."""
+    """Sensors with a direct view of the markers, and through air, acrylic and gel."""
     return {"boards": VGA.scene(), "refraction": layered_scene()}
 
 
@@ -68,7 +68,7 @@ def _measure(name: str, scene: Scene, presses: int, report: Report) -> tuple[Tab
 
 @dataclass(frozen=True)
 class Heights:
-    """How high the markers stand in the last frame of a press, above where they were in the first.
+    """Rise of the markers from the first to the last frame of a press.
 
     Attributes
     ----------
@@ -76,7 +76,7 @@ class Heights:
         As measured along z, and as simulated.
     seen : (N,) bool
     salient : (N,) bool, optional
-        What the method itself takes for the contact; not known of the OpenCV pipeline.
+        Contact according to the method; not available from the OpenCV pipeline.
     """
 
     found_mm: Array
@@ -105,7 +105,7 @@ def _targets(name: str, errors_um: Mapping[str, Sequence[Array]]) -> list[Target
     boards = errors_um[EXACT]
     known = len(boards) == len(BOARDS_MM)
     worst = max(abs(float(board.mean())) for board in boards) if known else float("nan")
-    # Every board about its own mean: what the boards' means differ by is counted above.
+    # Each board relative to its own mean; differences between the boards' means are counted above.
     spread = (
         float(np.concatenate([board - board.mean() for board in boards]).std()) if known else float("nan")
     )

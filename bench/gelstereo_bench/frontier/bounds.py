@@ -1,9 +1,9 @@
-"""How well a marker's centre can be known at all: Cramér-Rao bounds from the way the images are made.
+"""Cramér-Rao bounds of a marker's centre, from the model of image formation.
 
-The model of one marker is a disc blurred by a Gaussian on ground whose light slopes. The centre is wanted;
-radius (with the two directions of stretch), contrast, ground, both slopes and the blur are unknown too. Noise is
-Gaussian: white with the variance 1/12 of rounding to grey levels added, and, where there is grain, correlated over
-pixels. Nothing here shares code with the core: the blurred disc is its Fourier integral, not the core's edge profile.
+A marker is a disc blurred by a Gaussian, on a background with a brightness gradient. The parameters are the centre;
+nuisance parameters are radius (with two directions of stretch), contrast, background, both gradients and blur. Noise is
+Gaussian: white noise plus the variance 1/12 of rounding, and correlated noise where there is grain. No code is shared
+with the core: the blurred disc is computed by a Fourier integral, not by the core's edge profile.
 
 References: Kay, Fundamentals of Statistical Signal Processing: Estimation Theory (1993), section 3.9 (bound of a signal
 in coloured Gaussian noise).
@@ -29,32 +29,33 @@ __all__ = ["Grain", "blurred_disc", "centre_bound_px", "edge_bound_px", "marker_
 Array = npt.NDArray[np.float64]
 
 _ROUNDING_LEVELS2 = 1.0 / 12.0
-#: A pixel is a square of one pixel: its variance per axis.
+#: Variance of a uniform distribution over one pixel, per axis.
 _PIXEL_PX2 = 1.0 / 12.0
-#: Centres relative to the pixels over which a bound is averaged.
+#: Subpixel positions of the centre over which a bound is averaged.
 _PHASES_PX = ((0.0, 0.0), (0.5, 0.0), (0.25, 0.4))
 
 
 @dataclass(frozen=True)
 class Grain:
-    """Grain as the image shows it, after the lens: neighbouring pixels are alike by exp(-d² / (4 size²))."""
+    """Grain in the image, after the lens; the correlation of pixels at distance d is exp(-d² / (4 size²))."""
 
     sigma_levels: float
     size_px: float
 
     @classmethod
     def behind_lens(cls, sigma_levels: float, size_px: float, lens_px: float) -> Grain:
-        """Give what a lens of this blur leaves of painted grain."""
+        """Painted grain after a lens of this blur."""
         paint, seen = size_px**2, size_px**2 + lens_px**2
         return cls(sigma_levels * float(np.sqrt(paint / seen)), float(np.sqrt(seen)))
 
 
 def blurred_disc(distance_px: Array, radius_px: float, blur_px: float) -> tuple[Array, Array, Array, Array]:
-    """Give share of the contrast at distances from the centre, and its derivatives by distance, radius and blur.
+    """Relative contrast over distance from the centre, and its derivatives with respect to distance, radius and blur.
 
-    The disc's transform 2 pi r J1(kr) / k times the blur's exp(-k² s² / 2), back by the Hankel integral of order 0.
+    The product of the disc's transform 2 pi r J1(kr) / k and the blur's exp(-k² s² / 2), transformed back by the Hankel
+    integral of order 0.
     """
-    # e^-32 of the contrast is left beyond the last wave number; the step keeps images 100 px apart.
+    # The contrast beyond the last wave number is e^-32; the step keeps periodic copies 100 px apart.
     last = 8.0 / blur_px
     count = int(np.ceil(last * (100.0 + radius_px) / (2.0 * np.pi))) + 1
     nodes, weights = np.polynomial.legendre.leggauss(2 * count)
@@ -71,10 +72,10 @@ def blurred_disc(distance_px: Array, radius_px: float, blur_px: float) -> tuple[
 def edge_bound_px(
     radius_px: npt.ArrayLike, contrast: npt.ArrayLike, blur_px: float, noise_levels: float
 ) -> Array:
-    """Give the closed form for white noise and a radius well above the blur, standard deviation of one coordinate.
+    """Closed form for white noise and a radius well above the blur: standard deviation of one coordinate.
 
-    sigma_n / C sqrt(2 sigma_b / (sqrt(pi) r)): the information pi r C² / (2 sqrt(pi) sigma_b sigma_n²) of a blurred
-    circle's edge, of which each coordinate sees half.
+    sigma_n / C sqrt(2 sigma_b / (sqrt(pi) r)), from the information pi r C² / (2 sqrt(pi) sigma_b sigma_n²) of a
+    blurred circle's edge, half of which belongs to each coordinate.
     """
     r, c = np.asarray(radius_px, np.float64), np.abs(np.asarray(contrast, np.float64))
     return np.asarray(noise_levels / c * np.sqrt(2.0 * blur_px / (np.sqrt(np.pi) * r)))
@@ -90,20 +91,20 @@ def centre_bound_px(
     pitch_px: float = np.inf,
     rounded: bool = True,
 ) -> Array:
-    """Give the least 2-D rms error sqrt(var x + var y) of an unbiased centre, pixels.
+    """Minimum 2-D rms error sqrt(var x + var y) of an unbiased centre, pixels.
 
     Parameters
     ----------
     radius_px, contrast
-        Of the markers, broadcast against each other; contrast in grey levels.
+        Radius and contrast (grey levels) of the markers, broadcast against each other.
     blur_px
         Standard deviation of all blur, a pixel's width (0.29 px) included.
     noise_levels
         Standard deviation of the white noise, before rounding.
     grain
-        Grain as the image shows it; `None` for none.
+        Grain in the image; `None` for none.
     pitch_px
-        Distance between markers: pixels nearer to a neighbour tell nothing.
+        Distance between markers; pixels nearer to a neighbour are not used.
     rounded
         Whether levels are rounded to whole numbers.
     """
@@ -113,7 +114,7 @@ def centre_bound_px(
     white = noise_levels**2 + (_ROUNDING_LEVELS2 if rounded else 0.0)
     bounds = np.empty(radii.shape)
     for r in np.unique(radii):
-        # For a contrast of 1: all other parameters are linear or unknown, so that the bound scales.
+        # For a contrast of 1; the bound scales, because all other parameters are linear or unknown.
         of_unit = _unit_bound_px(float(r), blur_px, white, grain, pitch_px)
         here = radii == r
         bounds[here] = of_unit / contrasts[here]
@@ -140,7 +141,9 @@ def _unit_bound_px(
 def _window(
     radius_px: float, blur_px: float, phase: tuple[float, float], pitch_px: float
 ) -> tuple[Array, Array]:
-    """Pixels relative to a centre: as far as the edge and the grain beside it reach, but not beyond half the pitch."""
+    """Pixels relative to a centre, including the edge and the correlated grain beside it, but not beyond half the
+    pitch.
+    """
     reach = min(radius_px + 5.0 * max(blur_px, 1.0), 0.5 * pitch_px)
     half = int(np.ceil(reach)) + 1
     y, x = np.mgrid[-half : half + 1, -half : half + 1].astype(np.float64).reshape(2, -1) + np.asarray(
@@ -151,12 +154,14 @@ def _window(
 
 
 def _jacobian(x: Array, y: Array, radius_px: float, blur_px: float) -> Array:
-    """Derivatives of the levels by centre, radius, two stretches, blur, contrast, ground and slopes; contrast 1."""
+    """Derivatives of the levels with respect to centre, radius, two stretches, blur, contrast, background and
+    gradients, for contrast 1.
+    """
     distance = np.hypot(x, y)
     share, by_distance, by_radius, by_blur = blurred_disc(distance, radius_px, blur_px)
     c, s = x / np.maximum(distance, 1e-12), y / np.maximum(distance, 1e-12)
     twice_c, twice_s = c * c - s * s, 2.0 * c * s
-    # A stretch moves the edge by cos 2t: r dI/dr of the stretched disc, to first order in the edge's width over r.
+    # A stretch moves the edge by cos 2t: r dI/dr of the stretched disc, to first order in edge width over r.
     return np.column_stack(
         [
             -by_distance * c,
@@ -181,9 +186,10 @@ def marker_bounds_px(
     view: Literal["left", "right"] = "left",
     with_grain: bool = True,
 ) -> Array:
-    """Give the bound (N,), 2-D rms, of every marker of a simulated frame.
+    """Bound (N,), 2-D rms, of every marker of a simulated frame.
 
-    The radius follows from the marker's depth (its tilt is left out), contrast and grain from the light at its place.
+    The radius follows from the marker's depth (tilt is neglected), contrast and grain from the illumination at its
+    position.
 
     Parameters
     ----------
@@ -196,7 +202,7 @@ def marker_bounds_px(
     view
         Which camera.
     with_grain
-        Whether grain counts as noise; without, the bound is that of the sensor's noise alone.
+        Whether grain counts as noise; otherwise the bound is for the sensor's noise alone.
     """
     gel, effects, camera = scene["gel"], scene.get("effects", {}), scene["rig"][view]
     depth = np.asarray(points_mm, np.float64)[:, 2]
@@ -206,8 +212,8 @@ def marker_bounds_px(
     contrast = float(gel["bright_level"] - gel["dark_level"])
     lens2 = grain2 = 0.0
     if (defocus := effects.get("defocus")) is not None:
-        # The simulator blurs on pixels half as wide, with a kernel that is integrated over them; grain is painted in
-        # whole pixels and averaged over them again.
+        # The simulator blurs on pixels half as wide, with a kernel integrated over these. Grain is painted in whole
+        # pixels and averaged over them again.
         lens2 = defocus["sigma_px"] ** 2 + _PIXEL_PX2 / 4.0
         grain2 = lens2 + 2.0 * _PIXEL_PX2
     blur = float(np.sqrt(lens2 + _PIXEL_PX2))
@@ -215,7 +221,7 @@ def marker_bounds_px(
     painted = effects.get("grain") if with_grain else None
     pitch = float(np.median(focal_px * gel["pitch_mm"] / depth))
 
-    # The bound is smooth in radius and gain: a few of each suffice.
+    # The bound is smooth in radius and gain, so a few values of each suffice.
     def nodes(values: Array) -> Array:
         low, high = float(values.min()), float(values.max())
         return np.linspace(low, high + 1e-6 * (1.0 + abs(high)), 4)
@@ -232,7 +238,7 @@ def marker_bounds_px(
 
 
 def _gain(light: Mapping[str, float] | None, camera: Mapping[str, Any], centres_px: Array) -> Array:
-    """Brightness at places of the image, as the scene's uneven light has it."""
+    """Relative brightness at image positions, from the scene's uneven illumination."""
     if light is None:
         return np.ones(len(centres_px))
     x = (centres_px[:, 0] + 0.5) / camera["width_px"] - 0.5

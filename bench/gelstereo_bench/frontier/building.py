@@ -1,4 +1,4 @@
-"""Time of making a template: its samples and their tree, the exact surface and the grid around it."""
+"""Time to create a template: its samples and their tree, the exact surface and the grid around it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["measure_building"]
 
 
 def measure_building(rounds: int, report: Report) -> tuple[Table, list[Target]]:
-    """Make, save and load a template of every part of the project; medians."""
+    """Create, save and load a template of every part of the project; medians."""
     rows: list[list[str]] = []
     slowest_s = 0.0
     with tempfile.TemporaryDirectory() as folder:

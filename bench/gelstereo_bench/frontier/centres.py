@@ -1,4 +1,4 @@
-"""Accuracy of centres under good and bad conditions."""
+"""Accuracy of marker centres under good and bad conditions."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ __all__ = ["CONDITIONS", "FRAMES_PER_SEED", "Condition", "Matches", "match", "me
 
 Array = npt.NDArray[np.float64]
 
-#: Found and true centres that are farther apart are not the same marker.
+#: Maximum distance of matching detected and true centres.
 _MATCH_PX = 3.0
 
-#: Frames of one condition and seed; they share the grain of the paint, which stands still.
+#: Number of frames per condition and seed; they share the static grain of the paint.
 FRAMES_PER_SEED = 5
 
 
 @dataclass(frozen=True)
 class Condition:
-    """How well markers can be seen."""
+    """Imaging conditions of markers."""
 
     name: str
     size: Format = VGA
@@ -40,15 +40,15 @@ class Condition:
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     def scene(self, seed: int) -> Scene:
-        """Make the scene with nothing that presses."""
+        """Create the scene without contact."""
         return self.size.scene(gel=self.gel).replace({"seed": seed, "effects": effects(**self.effects)})
 
     def frames(self, seed: int) -> list[SimulatedFrame]:
-        """Rest, and a ball and a board that press; all frames have noise of their own."""
+        """Frames at rest, under a ball and under a board; each frame has its own noise."""
         x, y = self.size.centre_mm
         ball, board = np.eye(4), np.diag([1.0, -1.0, -1.0, 1.0])
         ball[:3, 3] = board[:3, 3] = (x, y, SURFACE_MM)
-        assert FACING_RAD[0] == np.pi  # what the board's pose says
+        assert FACING_RAD[0] == np.pi  # given by the board's pose
         frames: list[SimulatedFrame] = []
         for shape, pose in (({"kind": "sphere", "radius_mm": 5.0}, ball), (board_shape(0.8), board)):
             simulator = Simulator(self.scene(seed).replace({"indenter": shape}))
@@ -59,7 +59,7 @@ class Condition:
         return frames
 
     def bound_px(self) -> float:
-        """Least 2-D rms error of an unbiased centre, over the left view's markers of one seed's frames."""
+        """Minimum 2-D rms error of an unbiased centre, over the left view's markers in one seed's frames."""
         frames = self.frames(1)
         centres_px = np.concatenate([frame.left_px for frame in frames])
         points_mm = np.concatenate([frame.points_mm for frame in frames])
@@ -67,7 +67,7 @@ class Condition:
         return float(np.sqrt(np.mean(np.square(bounds))))
 
 
-#: Levels of 35 % of the light and of 25 levels of contrast; the paint's grain fades with its light and contrast.
+#: Grey levels at 35 % of the light, and with 25 levels of contrast; the paint's grain scales with light and contrast.
 CONDITIONS = (
     *(Condition(size.name, size) for size in FORMATS[:2]),
     Condition("25 levels of contrast", VGA, {"dark_level": 145}, {"grain": {"sigma_levels": 3.0 * 25 / 120}}),
@@ -83,11 +83,11 @@ CONDITIONS = (
 
 @dataclass
 class Matches:
-    """Found centres beside true ones, over several images."""
+    """Detected and true centres over several images."""
 
-    #: (N, 2) found minus true, px.
+    #: (N, 2) detected minus true, px.
     errors_px: Array
-    #: (N, 2, 2) covariance that the detector gave with each.
+    #: (N, 2, 2) covariances stated by the detector.
     covariance_px2: Array
     missed: int
     false: int
@@ -99,19 +99,19 @@ class Matches:
 
     @property
     def largest_px(self) -> float:
-        """Largest distance."""
+        """Largest error."""
         return float(np.linalg.norm(self.errors_px, axis=1).max()) if len(self.errors_px) else float("nan")
 
     @property
     def complete(self) -> bool:
-        """Whether every marker was found, and nothing else."""
+        """Whether exactly the true markers were detected."""
         return self.missed == 0 and self.false == 0
 
 
 def match(detector: Detector, frames: Sequence[SimulatedFrame]) -> Matches:
-    """Find the markers of both views of all frames and compare them with the truth.
+    """Detect the markers of both views of all frames and compare them with the truth.
 
-    A true marker takes the nearest found one when each is the other's nearest; what is left over is missed or false.
+    True and detected markers match if they are mutual nearest neighbours. Others are missed or false.
     """
     errors, covariances, missed, false = [np.empty((0, 2))], [np.empty((0, 2, 2))], 0, 0
     for frame in frames:

@@ -93,7 +93,7 @@ def _sensing(arguments: argparse.Namespace, rounds: int, starts: int) -> int:
 def _localization(arguments: argparse.Namespace, rounds: int, starts: int) -> int:
     page = arguments.docs / "localization.md"
     check_page(page, LOCALIZATION_SECTIONS)
-    # Parts and noises differ in what they cost, and every contact counts.
+    # Cost differs between parts and noise levels, so all contacts are used.
     rounds = max(rounds, starts * len(GRASPED) * len(NOISES))
     tables, targets = measure_localization(range(1, 1 + starts), rounds, _report)
     said = (
@@ -121,7 +121,7 @@ def _rows(rounds: int, starts: int, counter: InstructionCounter, report: Report)
 def _tables(
     quick: bool, rounds: int, source: Path | None, report: Report
 ) -> tuple[list[Table], list[Target], list[Speed]]:
-    """Everything else: tables, targets, and the times that are drawn."""
+    """All other tables, the targets, and the times for the figures."""
     seeds = 1 if quick else 3
     centres, targets, matches = measure_centres(seeds, report)
     covariance, more = measure_covariance(matches, seeds, report)

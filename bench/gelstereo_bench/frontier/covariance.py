@@ -1,4 +1,4 @@
-"""Whether covariances say how large errors are: normalised squared errors."""
+"""Consistency of covariances: normalised estimation errors squared (NEES)."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Calibration:
-    """Squared errors over their covariances (NEES; Bar-Shalom, Li and Kirubarajan 2001, section 5.4)."""
+    """Errors squared, normalised by their covariances (NEES; Bar-Shalom, Li and Kirubarajan 2001, section 5.4)."""
 
-    #: Mean over markers and degrees of freedom: 1 when the covariances are right, above when they promise too much.
+    #: Mean over markers and degrees of freedom: 1 if the covariances are right, above 1 if they are too small.
     mean: float
-    #: Where the mean lies with a probability of 95 % when they are right and errors are Gaussian and independent.
+    #: 95 % interval of the mean if covariances are right and errors are Gaussian and independent.
     band: tuple[float, float]
-    #: Share of the errors that lie in their own 95 % region.
+    #: Share of errors within their 95 % region.
     inside: float
 
     @classmethod
     def of(cls, errors: Array, covariances: Array, alike: int) -> Calibration:
-        """From errors (N, k) and covariances (N, k, k), of which so many share one piece of paint grain."""
+        """Create from errors (N, k) and covariances (N, k, k); groups of a given size share the same paint grain."""
         count, freedom = errors.shape
         if count < alike:
             return cls(float("nan"), (float("nan"), float("nan")), float("nan"))
@@ -55,14 +55,14 @@ class Calibration:
 
     @property
     def calibrated(self) -> bool:
-        """Whether the mean lies in its band."""
+        """Whether the mean lies in its interval."""
         return self.band[0] <= self.mean <= self.band[1]
 
 
 def measure_covariance(
     centres: Mapping[str, Mapping[str, Matches]], seeds: int, report: Report
 ) -> tuple[Table, list[Target]]:
-    """Measure the covariances of centres under all conditions, and of points over presses."""
+    """Check the covariances of centres under all conditions, and of points over presses."""
     found = {
         name: {
             condition: Calibration.of(methods[name].errors_px, methods[name].covariance_px2, FRAMES_PER_SEED)
@@ -87,7 +87,7 @@ def measure_covariance(
 
 
 def _bands(found: Mapping[str, Mapping[str, Calibration]], columns: Sequence[str]) -> list[str]:
-    """Write the widest band of every column."""
+    """Format the widest interval of every column."""
     row = ["*95 % band*"]
     for column in columns:
         bands = [cells[column].band for cells in found.values() if column in cells]

@@ -1,4 +1,4 @@
-"""Figures beside the tables of docs/accuracy-vs-time.md."""
+"""Figures of docs/accuracy-vs-time.md."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _AXES = {
 
 
 def draw_errors(path: Path, rows: Sequence[Row], bound_px: float | None = None) -> None:
-    """Draw error over time, one panel per stage; the bound on centres as a line."""
+    """Plot error over time, one panel per stage, with the bound on centres as a line."""
     matplotlib.use("Agg")
     with needs(__name__):
         from matplotlib import pyplot as plt
@@ -51,7 +51,7 @@ def draw_errors(path: Path, rows: Sequence[Row], bound_px: float | None = None) 
         low, high = axis.get_xlim()
         axis.set_xlim(low / 1.3, high * 1.3)
         axis.grid(alpha=0.3, which="both")
-        # Below the panel: methods are many and lie anywhere in it.
+        # Legend below the panel, because methods may lie anywhere in it.
         axis.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=3)
     figure.suptitle("accuracy and time, simulated; lower left is better, grey is OpenCV and SciPy")
     figure.savefig(path, dpi=100)
@@ -59,7 +59,7 @@ def draw_errors(path: Path, rows: Sequence[Row], bound_px: float | None = None) 
 
 
 def draw_growth(path: Path, speeds: Sequence[Speed]) -> None:
-    """Draw the time of a tracked frame over pixels and over markers; a straight line through all is linear growth."""
+    """Plot the time of a tracked frame over pixels and over markers; a straight line indicates linear growth."""
     matplotlib.use("Agg")
     with needs(__name__):
         from matplotlib import pyplot as plt

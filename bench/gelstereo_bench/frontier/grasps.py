@@ -1,4 +1,4 @@
-"""Parts pressed into the simulated gel, for registration: what is sensed, the truth, and the bound on pose errors."""
+"""Parts pressed into the simulated gel, for registration: sensed points, truth, and the bound on pose errors."""
 
 from __future__ import annotations
 
@@ -47,36 +47,37 @@ __all__ = [
 
 Array = npt.NDArray[np.float64]
 
-#: Markers pressed by more are salient by their depth (the paper's threshold); the gel's shoulder is among them.
+#: Salient markers by indentation (the paper's threshold); these include the gel's shoulder.
 _SALIENT_MM = 0.35
-#: Faces that are steeper to the gel do not count: simulated markers meet them beside an edge, where gel would hang.
+#: Steeper faces are ignored: simulated markers touch them beside an edge, where real gel would hang.
 _STEEP_COSINE = 0.35
-#: Rows and columns of markers.
+#: Number of rows and columns of markers.
 SIDE = 25
-#: Outliers lie anywhere within this of where they should, mm.
+#: Largest displacement of outliers, mm.
 STRAY_MM = 1.5
-#: Directions that the bound knows no better, rotations in mm at the patch's radius, count as free.
+#: Directions with a larger standard deviation in the bound count as free; rotations in mm at the patch's radius.
 _OBSERVABLE_MM = 0.06
-#: Least markers that truly touch, and least and most that are salient, for a contact to count.
+#: Minimum number of markers truly in contact, and range of the number of salient markers, of a valid contact.
 _MIN_TOUCHING, _SALIENT = 20, range(12, 301)
 
 
 @dataclass(frozen=True)
 class Noise:
-    """How well the sensor senses points."""
+    """Noise of the sensed points."""
 
     name: str
-    #: Standard deviation along the camera's axis; across it half of that.
+    #: Standard deviation along the camera's axis; half of that across it.
     sigma_mm: float
-    #: Share of salient points that lie anywhere within 1.5 mm of where they should.
+    #: Share of salient points displaced by a random amount up to 1.5 mm.
     outliers: float
-    #: Whether salient is what carries pressure, as the presets balanced and exact have it, or what is deep: the paper.
+    #: Whether markers are salient by pressure, as in the presets balanced and exact, or by indentation, as in the
+    #: paper.
     by_pressure: bool = True
 
 
 @dataclass(frozen=True)
 class Start:
-    """How far guesses are from the truth: up to so much, evenly."""
+    """Largest error of guesses, uniformly distributed."""
 
     name: str
     angle_deg: float
@@ -85,13 +86,13 @@ class Start:
 
 @dataclass(frozen=True)
 class Press:
-    """A part that is pressed, and which way up it lies."""
+    """A pressed part, and its orientation."""
 
     name: str
     make: Callable[[], trimesh.Trimesh]
-    #: How far behind its tip a part is held, mm: from and to.
+    #: Range of the distance from the tip to where the part is held, mm.
     held_mm: tuple[float, float]
-    #: A flat part lies on one of its wide faces, normal along its y axis; others roll as they like.
+    #: Whether the part lies on one of its wide faces, normal along its y axis; other parts have a random roll.
     flat: bool = False
     #: Whether its tip is pressed, rather than its side.
     standing: bool = False
@@ -115,16 +116,16 @@ GRASPED = (
 
 @dataclass(frozen=True)
 class Grasp:
-    """One contact: what is sensed, and the truth. Points and poses are in the sensor frame, mm."""
+    """One contact: sensed points and truth. Points and poses are in the sensor frame, mm."""
 
     part: str
     mesh: trimesh.Trimesh
     template: Template
     points_mm: Array
     covariance_mm2: Array
-    #: All markers, the salient ones included.
+    #: All markers, including the salient ones.
     all_points_mm: Array
-    #: Normals of the part where markers truly touch it, of all in turn; not a number elsewhere.
+    #: Normals of the part at all markers in order; NaN where a marker is not truly in contact.
     normals: Array
     t_sensor_object: Array
 
@@ -140,9 +141,9 @@ class Grasp:
 
     @cached_property
     def information(self) -> Array:
-        """Cramér-Rao: information on (ρ ω, v) about the centroid, from the points that truly touch.
+        """Fisher information (Cramér-Rao) on (ρ ω, v) about the centroid, from the points truly in contact.
 
-        Their true normals and their noise are known; where a point lies along the surface tells nothing.
+        True normals and noise are known. Positions along the surface are not informative.
         """
         touch = np.isfinite(self.normals[:, 0])
         normals, lever = self.normals[touch], self.all_points_mm[touch] - self.centre_mm
@@ -151,7 +152,7 @@ class Grasp:
         return np.asarray(rows.T @ (rows / variance[:, None]))
 
     def registered(self, guess: Array, params: Params) -> Localization:
-        """Register with all that the sensor knows of the contact.
+        """Register with all sensed data of the contact.
 
         Raises
         ------
@@ -168,7 +169,7 @@ class Grasp:
         )
 
     def localized(self, guess: Array, params: Params) -> Array:
-        """Register likewise; (4, 4) t_sensor_object alone.
+        """As `registered`, but returns only (4, 4) t_sensor_object.
 
         Raises
         ------
@@ -178,7 +179,7 @@ class Grasp:
         return np.asarray(self.registered(guess, params).t_sensor_object)
 
     def guess(self, start: Start, seed: int) -> Array:
-        """Draw a guess: the truth turned about the patch's centroid and shifted."""
+        """Draw a guess: the truth rotated about the patch's centroid and shifted."""
         random = np.random.default_rng([seed, 41])
         turn, move = (vector / np.linalg.norm(vector) for vector in random.normal(size=(2, 3)))
         angle, shift = random.uniform(size=2) * [np.deg2rad(start.angle_deg), start.shift_mm]
@@ -188,7 +189,7 @@ class Grasp:
         return np.asarray(about @ motion @ np.linalg.inv(about) @ self.t_sensor_object, np.float64)
 
     def score(self, found: Array) -> Score:
-        """Compare a pose with the truth, over the directions that the bound knows."""
+        """Compare a pose with the truth, over the determined directions."""
         about = np.eye(4)
         about[:3, 3] = -self.centre_mm
         twist = se3_log(about @ self.t_sensor_object @ np.linalg.inv(found) @ np.linalg.inv(about))
@@ -197,14 +198,14 @@ class Grasp:
         return self._score(values, vectors, vectors.T @ error)
 
     def at_bound(self, draws: int, seed: int) -> float:
-        """Share of an efficient estimate's answers that succeed: normal errors, as small as the bound allows."""
+        """Success rate of an efficient estimator: normal errors with the bound's covariance."""
         values, vectors = self._observable
         errors = np.random.default_rng([seed, 53]).normal(size=(draws, len(values))) / np.sqrt(values)
         return float(np.mean([self._score(values, vectors, along).success for along in errors]))
 
     @property
     def _observable(self) -> tuple[Array, Array]:
-        """Information on the directions that the contact determines, (K,), and these, (6, K)."""
+        """Information on the determined directions, (K,), and these directions, (6, K)."""
         values, vectors = np.linalg.eigh(self.information)
         seen = values * _OBSERVABLE_MM**2 >= 1.0
         return values[seen], vectors[:, seen]
@@ -221,10 +222,10 @@ class Grasp:
 
 @dataclass(frozen=True)
 class Score:
-    """Error over the observable directions."""
+    """Error over the determined directions."""
 
     observable: int
-    #: Sum over them of the error over the bound, squared.
+    #: Sum over these directions of the squared error, normalised by the bound.
     squared: float
     angle_deg: float
     shift_mm: float
@@ -236,7 +237,7 @@ class Score:
 
 
 def grasps(press: Press, noise: Noise, seeds: range) -> Iterator[Grasp]:
-    """Press a part once per seed: lying across the gel, held within 4 mm of the middle, 0.8 to 1.4 mm deep."""
+    """Press a part once per seed: across the gel, held within 4 mm of the middle, 0.8 to 1.4 mm deep."""
     mesh = press.make()
     template = Template.from_mesh(mesh, units="mm", spacing_mm=0.3).with_grid()
     simulator = simulator_of(mesh)
@@ -252,7 +253,7 @@ def grasps(press: Press, noise: Noise, seeds: range) -> Iterator[Grasp]:
 
 
 def simulator_of(mesh: trimesh.Trimesh) -> Simulator:
-    """Of a part that is pressed into the gel."""
+    """Simulator of a part that is pressed into the gel."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "part.stl"
         mesh.export(path)
@@ -287,7 +288,7 @@ def _grasp(
 
 
 def _salient(simulator: Simulator, points_mm: Array, noise: Noise) -> npt.NDArray[np.bool_]:
-    """Say which markers are taken to be in contact."""
+    """Markers classified as in contact."""
     if not noise.by_pressure:
         return np.asarray(SURFACE_MM - points_mm[:, 2] > _SALIENT_MM)
     rest = RestSurface(simulator.press().points_mm)
@@ -322,7 +323,7 @@ def place(press: Press, mesh: trimesh.Trimesh, random: np.random.Generator) -> A
 
 
 def _samples(mesh: trimesh.Trimesh) -> Array:
-    """Points all over the surface, the same for the same mesh."""
+    """Points distributed over the surface; identical for the same mesh."""
     import trimesh
 
     points, _ = trimesh.sample.sample_surface(mesh, 20000, seed=1)
@@ -330,6 +331,6 @@ def _samples(mesh: trimesh.Trimesh) -> Array:
 
 
 def surface_normals(mesh: trimesh.Trimesh, template: Template, pose: Array, points_mm: Array) -> Array:
-    """Normals of the part's faces that are nearest to points of the sensor frame."""
+    """Normals of the part's faces nearest to points in the sensor frame."""
     back = (points_mm - pose[:3, 3]) @ pose[:3, :3]
     return np.asarray(mesh.face_normals[template.closest(back).triangles] @ pose[:3, :3].T)

@@ -1,4 +1,4 @@
-"""What heights alone cannot tell: poses that explain the sensed ones better than the truth does."""
+"""Limit of heights alone: poses that explain the sensed heights better than the truth does."""
 
 from __future__ import annotations
 
@@ -16,14 +16,16 @@ Array = npt.NDArray[np.float64]
 
 
 def log_likelihood(grasp: Grasp, noise: Noise, simulator: Simulator, t_sensor_object: Array) -> float:
-    """Of all heights of a contact at a pose, (4, 4), by the simulator's own contact, noise and outliers."""
+    """Log likelihood of all heights of a contact at a pose, (4, 4), with the simulator's own contact, noise and
+    outliers.
+    """
     exact = np.asarray(simulator.press(t_sensor_object).points_mm, np.float64)
     off = grasp.all_points_mm - exact
-    # Where a marker is, is sensed with half the noise: its height differs by the slope times that.
+    # A marker's lateral position has half the noise; its height changes by that times the slope.
     slopes = _slopes(exact.reshape(SIDE, SIDE, 3)).reshape(-1, 2)
     variance = noise.sigma_mm**2 * (1.0 + 0.25 * np.sum(slopes**2, axis=1))
     squared = (off[:, 2] - np.sum(slopes * off[:, :2], axis=1)) ** 2 / variance
-    # No farther off than what a number can tell from 0.
+    # Limited to the range in which a number differs from 0.
     good = np.exp(-0.5 * np.minimum(squared, 1400.0)) / np.sqrt(2.0 * np.pi * variance)
     salient = (grasp.all_points_mm[:, None] == grasp.points_mm[None]).all(axis=2).any(axis=1)
     stray = np.where(salient, noise.outliers, 0.0)
@@ -31,7 +33,7 @@ def log_likelihood(grasp: Grasp, noise: Noise, simulator: Simulator, t_sensor_ob
 
 
 def _slopes(lattice_mm: Array) -> Array:
-    """How the height changes with the place, (rows, cols, 2), from (rows, cols, 3)."""
+    """Gradient of the height, (rows, cols, 2), from points (rows, cols, 3)."""
     along, across = (np.asarray(np.gradient(lattice_mm, axis=axis)) for axis in (0, 1))
     places = np.stack([along[..., :2], across[..., :2]], axis=-2)
     rises = np.stack([along[..., 2], across[..., 2]], axis=-1)
@@ -39,7 +41,9 @@ def _slopes(lattice_mm: Array) -> Array:
 
 
 def success_or_likelier(grasps: Sequence[Grasp], noise: Noise, poses: Sequence[Array | None]) -> float:
-    """Per cent of the poses, one a contact, that are right or likelier than the truth: no estimate tells these."""
+    """Per cent of poses, one per contact, that are right or likelier than the truth; no estimator can distinguish
+    these.
+    """
     simulators: dict[str, Simulator] = {}
 
     def is_either(grasp: Grasp, pose: Array | None) -> bool:

@@ -1,4 +1,4 @@
-"""Success, accuracy over the bound and time of registration on parts in the gel, beside other libraries."""
+"""Success, error relative to the bound, and time of registration on parts in the gel, compared with other libraries."""
 
 from __future__ import annotations
 
@@ -21,35 +21,35 @@ __all__ = ["Tally", "measure_localization"]
 
 Array = npt.NDArray[np.float64]
 
-#: The rung of which the targets are asked.
+#: The rung to which the targets apply.
 BEST = "surface_search"
-#: The guess that leaves nothing to the search.
+#: The guess that needs no search: the truth.
 _TRUTH = Start("the truth", 0.0, 0.0)
-#: Work after which the best rung stops, in lookups, beside the usual one.
+#: Search budgets of the best rung in lookups, in addition to the default.
 _BUDGETS = (1_000_000, 200_000, 120_000, 80_000, 50_000)
-#: What other libraries are given beside the rungs that start from one guess, which is near.
+#: Starts for other libraries, in addition to the near ones of the rungs with a single start.
 _CLOSE = STARTS[0]
-#: The rungs that start from one guess: where they are meant to start, and the median that is asked of them, ms.
+#: Rungs with a single start: their intended start, and the target of their median time, ms.
 _NEAR = {"surface_track": (Start("0.5 deg, 0.1 mm", 0.5, 0.1), 0.1), "surface_close": (_CLOSE, 0.5)}
-#: Frames of a contact that are registered one after another, and of how many contacts one is.
+#: Number of consecutive registrations per contact, and one in how many contacts is used.
 _FRAMES, _ONE_OF = 8, 4
-#: Answers drawn of an efficient estimate of each contact: its share is then known to 2 %.
+#: Samples of an efficient estimator per contact; the success rate is then known to 2 %.
 _DRAWS = 500
 
 
 @dataclass
 class Tally:
-    """What one method did with one noise and one class of starts."""
+    """Results of one method with one noise and one class of starts."""
 
-    #: Success of every part's runs.
+    #: Successes by part.
     success: dict[str, list[bool]] = field(default_factory=dict)
-    #: Error over the bound, squared, and observable directions of every success.
+    #: Squared error relative to the bound, and number of determined directions, of every success.
     squared: list[float] = field(default_factory=list)
     observable: list[int] = field(default_factory=list)
     refused: int = 0
 
     def add(self, grasp: Grasp, pose: Array | None) -> None:
-        """Count one run; no pose is a refusal."""
+        """Count one run; None instead of a pose is a refusal."""
         runs = self.success.setdefault(grasp.part, [])
         if pose is None or not np.all(np.isfinite(pose)):
             self.refused += 1
@@ -78,9 +78,9 @@ def measure_localization(seeds: range, rounds: int, report: Report) -> tuple[lis
     Parameters
     ----------
     seeds
-        One contact of every part and noise for each.
+        Seeds; each gives one contact per part and noise.
     rounds
-        Rounds of timing, in each of which all methods register the next of the contacts.
+        Timing rounds; in each, all methods register the next contact.
     """
     others, missing = rivals()
     methods = {rung.name: _native(rung) for rung in rungs_of("register")} | others
@@ -126,7 +126,7 @@ def measure_localization(seeds: range, rounds: int, report: Report) -> tuple[lis
 
 
 def _from_truth(method: Method, contacts: Mapping[str, Sequence[Grasp]]) -> list[str]:
-    """Search around the truth itself: what that misses, better starts will hardly find."""
+    """Search from the truth: contacts that fail even so are unlikely to succeed from other starts."""
     row = ["*surface_search, guessed at the truth*"]
     for grasped in contacts.values():
         tally = _tally(method, grasped, _TRUTH)
@@ -135,7 +135,9 @@ def _from_truth(method: Method, contacts: Mapping[str, Sequence[Grasp]]) -> list
 
 
 def _or_likelier(method: Method, contacts: Mapping[str, Sequence[Grasp]]) -> list[str]:
-    """Count poses that explain the heights better than the truth as right: heights alone cannot tell."""
+    """Success if poses that explain the heights better than the truth count as right, since heights cannot distinguish
+    them.
+    """
     row = ["*surface_search, or a pose likelier than the truth*"]
     for noise in NOISES:
         grasped = contacts[noise.name]
@@ -147,9 +149,9 @@ def _or_likelier(method: Method, contacts: Mapping[str, Sequence[Grasp]]) -> lis
 
 
 def _missing_rows(missing: Mapping[str, str]) -> list[list[str]]:
-    """Name the libraries that were not measured, and why, in as many cells as the others have."""
+    """Rows of the libraries that were not measured, with the reason."""
     dashes = ["-"] * (2 * len(NOISES) + 2)
-    # A table's cell is one line without bars.
+    # A table's cell must be one line without vertical bars.
     return [
         [f"{name} ({' '.join(reason.replace('|', '/').split())})", *dashes]
         for name, reason in missing.items()
@@ -159,7 +161,7 @@ def _missing_rows(missing: Mapping[str, str]) -> list[list[str]]:
 def _near_table(
     methods: Mapping[str, Method], others: Sequence[str], contacts: Sequence[Grasp], rounds: int
 ) -> tuple[Table, list[Target]]:
-    """Success and times from near guesses, of a part of which a frame has just been registered."""
+    """Success and times from near guesses, for a part registered in the previous frame."""
     near = {name: (methods[name], start) for name, (start, _) in _NEAR.items()}
     near |= {name: (methods[name], _CLOSE) for name in others}
     calls = {name: _frames_of(method, contacts, start) for name, (method, start) in near.items()}
@@ -177,7 +179,7 @@ def _near_table(
 
 
 def _budget_table(contacts: Sequence[Grasp], rounds: int) -> Table:
-    """Success of the best rung from every start, all noises, and times from the middle one, by its budget of work."""
+    """Success of the best rung from every start, over all noises, and times from the middle start, by search budget."""
     usual = next(_params(rung) for rung in rungs_of("register") if rung.name == BEST)
     budgets = sorted({usual.to_dict()["register"]["surface_search"]["budget"], *_BUDGETS}, reverse=True)
     params = {f"{budget}": usual.replace({"register.surface_search.budget": budget}) for budget in budgets}
@@ -212,7 +214,7 @@ def _parts_table(methods: Mapping[str, Method], tallies: Mapping[tuple[str, str,
 
 
 def _targets(tallies: Mapping[tuple[str, str, str], Tally], times: Mapping[str, Times]) -> list[Target]:
-    """What is asked of the best rung."""
+    """Targets of the best rung."""
     if BEST not in times:
         return []
     targets = []
@@ -240,7 +242,7 @@ def _pose(method: Method, grasp: Grasp, start: Start, seed: int) -> Array | None
 
 
 def _tried(method: Method, grasp: Grasp, guess: Array) -> Array | None:
-    """No pose where the method refuses."""
+    """A method's pose, or None if it refuses."""
     try:
         return method(grasp, guess)
     except (Error, np.linalg.LinAlgError, RuntimeError, ValueError):
@@ -259,7 +261,7 @@ def _one_of(method: Method, contacts: Sequence[Grasp]) -> Callable[[int], object
 
 
 def _frames_of(method: Method, contacts: Sequence[Grasp], start: Start) -> Callable[[int], object]:
-    """Register each of some contacts of all parts and noises a few times running, each time from another guess."""
+    """Register some contacts of all parts and noises several times in a row, each time from another guess."""
     some = contacts[::_ONE_OF]
     guesses = [[grasp.guess(start, turn) for turn in range(_FRAMES)] for grasp in some]
 
@@ -275,10 +277,10 @@ def _native(rung: Rung) -> Method:
 
 
 def _params(rung: Rung) -> Params:
-    """Guesses are farther off than usual."""
+    """Settings for guesses with larger errors than usual."""
     return rung.params().replace({"register.advanced.search_radius_mm": 8.0})
 
 
 def _with(params: Params) -> Method:
-    """Register with all that the sensor knows of the contact."""
+    """Register with all sensed data of the contact."""
     return lambda grasp, guess: grasp.localized(guess, params)

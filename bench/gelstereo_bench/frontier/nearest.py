@@ -1,4 +1,4 @@
-"""Distance of a point to a part: samples, triangles and the grid, beside SciPy's and trimesh's searches."""
+"""Distance of a point to a part: samples, triangles and the grid, compared with SciPy's and trimesh's searches."""
 
 from __future__ import annotations
 
@@ -38,18 +38,18 @@ GRID, TRIMESH = "`Template.grid_distance`", "trimesh `closest_point`"
 SAMPLES = "`Template.nearest`, samples 0.25 mm apart"
 SCIPY = "SciPy `cKDTree`, the same samples"
 
-#: What is looked at: 5120 triangles of a ball, and few large ones that meet in edges.
+#: Test parts: a ball of 5120 triangles, and a part of few large triangles that meet in edges.
 PARTS: Mapping[str, Callable[[], trimesh.Trimesh]] = {
     "ball, R 5 mm": lambda: trimesh.creation.icosphere(subdivisions=4, radius=5.0),
     "plate, 20 x 20 x 2.2 mm": lambda: trimesh.creation.box((20.0, 20.0, 2.2)),
 }
 
-#: trimesh takes milliseconds a point.
+#: trimesh takes milliseconds per point.
 _POINTS = 500
 
 
 def points_around(mesh: trimesh.Trimesh, seed: int, count: int) -> Array:
-    """Points up to 1 mm from a surface, as a patch's are from a part at a guess."""
+    """Points up to 1 mm from a surface, like a patch relative to a part at a guess."""
     random = np.random.default_rng(seed)
     share = mesh.area_faces / mesh.area
     corners = mesh.triangles[random.choice(len(mesh.faces), size=count, p=share)]
@@ -61,7 +61,7 @@ def points_around(mesh: trimesh.Trimesh, seed: int, count: int) -> Array:
 
 
 def methods(mesh: trimesh.Trimesh) -> dict[str, Method]:
-    """Every way to a distance, made ready."""
+    """All methods for distances, initialised."""
     template = Template.from_triangles(mesh.vertices, mesh.faces).with_grid()
     samples, normals = template.points_mm, template.normals
     before: dict[bytes, npt.NDArray[np.int64]] = {}
@@ -72,7 +72,7 @@ def methods(mesh: trimesh.Trimesh) -> dict[str, Method]:
         return np.asarray(np.abs(np.einsum("ij,ij->i", points - samples[nearest], normals[nearest])))
 
     def warm(points: Array) -> Array:
-        # As in the iterations of a registration: the triangles are those of points a little off.
+        # As in the iterations of a registration, initial triangles are those of slightly displaced points.
         key = points.tobytes()
         near = before.get(key)
         if near is None:
@@ -94,7 +94,7 @@ def methods(mesh: trimesh.Trimesh) -> dict[str, Method]:
 
 
 def _exact(mesh: trimesh.Trimesh, points: Array) -> Array:
-    """Distances to every triangle; the least."""
+    """Minimum distance over all triangles."""
     near = trimesh.triangles.closest_point
     count = len(mesh.faces)
     every = [
@@ -133,5 +133,5 @@ def measure_nearest(rounds: int, report: Report) -> tuple[Table, list[Target]]:
 
 
 def _small(value_mm: float) -> str:
-    """A figure; rounding errors by their power of ten."""
+    """Format a figure; rounding errors by their power of ten."""
     return f"{value_mm:.0e}" if 0.0 < value_mm < 1e-6 else figure(value_mm)

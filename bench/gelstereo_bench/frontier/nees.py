@@ -1,4 +1,4 @@
-"""Whether found poses err as their covariance says: NEES, and how often they lie within it."""
+"""Consistency of the poses' covariances: NEES, and coverage of 95 % regions."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ with needs(__name__):
 
 __all__ = ["Nees", "nees_table"]
 
-#: Share of answers that a right covariance holds.
+#: Nominal coverage of a confidence region.
 _SHARE = 0.95
 
 
 @dataclass
 class Nees:
-    """Normalized estimation error squared of some answers, over the directions that each calls determined."""
+    """Normalised estimation error squared of several poses, over the directions that each states as determined."""
 
     squared: list[float] = field(default_factory=list)
     directions: list[int] = field(default_factory=list)
 
     def add(self, found: Localization, t_sensor_object: npt.NDArray[np.float64]) -> None:
-        """Count an answer whose true pose is known, (4, 4)."""
+        """Add a result with its true pose, (4, 4)."""
         count = 6 - len(found.free)
         if count > 0:
             twist = se3_log(t_sensor_object @ np.linalg.inv(found.t_sensor_object))
@@ -41,25 +41,25 @@ class Nees:
 
     @property
     def mean(self) -> float:
-        """Per direction; 1 where covariances are right."""
+        """Mean per direction; 1 if covariances are right."""
         return float(np.sum(self.squared) / np.sum(self.directions)) if self.squared else float("nan")
 
     @property
     def band(self) -> tuple[float, float]:
-        """Within which the mean of as many directions lies in 95 % of cases, were all errors normal."""
+        """95 % interval of the mean over as many directions, for normal errors."""
         count = int(np.sum(self.directions))
         low, high = chi2.ppf([0.5 - 0.5 * _SHARE, 0.5 + 0.5 * _SHARE], max(count, 1)) / max(count, 1)
         return float(low), float(high)
 
     @property
     def within(self) -> float:
-        """Per cent of the answers that lie within what holds 95 % of them by their covariance."""
+        """Per cent of results within the 95 % region of their covariance."""
         limits = chi2.ppf(_SHARE, self.directions)
         return 100.0 * float(np.mean(np.asarray(self.squared) <= limits)) if self.squared else float("nan")
 
 
 def nees_table(contacts: Mapping[str, Sequence[Grasp]]) -> Table:
-    """Of the successes of every rung from the nearest start, by noise."""
+    """Table for the successes of every rung from the nearest start, by noise."""
     rows = []
     for rung in rungs_of("register"):
         params = rung.params().replace({"register.advanced.search_radius_mm": 8.0})

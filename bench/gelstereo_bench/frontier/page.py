@@ -1,4 +1,4 @@
-"""The pages of measurements: tables between markers."""
+"""Pages of measurements, with tables between comment markers."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ SECTIONS = (
 
 
 def check_page(page: Path, sections: Sequence[str] = SECTIONS) -> None:
-    """See that a page can be filled, before the minutes that measuring takes; begin one that does not exist.
+    """Check that a page can be filled, before a long measurement; create a page that does not exist.
 
     Raises
     ------
@@ -63,7 +63,7 @@ def check_page(page: Path, sections: Sequence[str] = SECTIONS) -> None:
 def write_page(
     page: Path, tables: Sequence[Table], targets: Sequence[Target], rounds: int, conditions: str = CONDITIONS
 ) -> None:
-    """Fill the page's tables, all or none: a page is never left half written."""
+    """Fill all of the page's tables or none, so that a page is never half written."""
     with tempfile.TemporaryDirectory(dir=page.parent) as folder:
         draft = Path(folder) / page.name
         shutil.copy(page, draft)
@@ -80,7 +80,7 @@ def write_page(
 
 
 def row_tables(rows: Sequence[Row]) -> list[Table]:
-    """Make the tables of error and time, one per stage."""
+    """Create the tables of error and time, one per stage."""
     head = ["method", "error", "median ms", "p99 ms", "10^6 instructions", "baseline's time over this"]
     stages = dict.fromkeys(row.stage for row in rows)
     return [Table(stage, head, [_line(row) for row in rows if row.stage == stage]) for stage in stages]
@@ -98,7 +98,7 @@ def _line(row: Row) -> list[str]:
 
 
 def _load() -> str:
-    """Say how busy the machine was."""
+    """Describe the machine's load."""
     try:
         load = os.getloadavg()[1]
     except OSError:

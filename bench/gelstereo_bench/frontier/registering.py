@@ -27,19 +27,19 @@ with needs(__name__):
 __all__ = ["SUCCESS_MM", "Patch", "measure_registration", "observable_error_mm"]
 
 Array = npt.NDArray[np.float64]
-#: From a patch and a guess to a pose.
+#: Function from a patch and a guess to a pose.
 Method = Callable[["Patch", Array], Array]
 
 #: Half of the paper's assembly tolerance of 0.3 mm.
 SUCCESS_MM = 0.15
-#: Directions in which moving the part by 1 mm moves its surface by less than this, rms, count as free.
+#: Directions count as free if moving the part by 1 mm moves its surface by less than this, rms mm.
 _OBSERVABLE = 0.1
 _START_DEG, _START_MM = 5.0, 1.0
 
 
 @dataclass(frozen=True)
 class Patch:
-    """What the sensor saw of a part, and the truth."""
+    """A sensed patch of a part, and the truth."""
 
     part: Part
     template: Template
@@ -50,7 +50,8 @@ class Patch:
     def simulate(cls, part: Part) -> Patch:
         """Press the part and take the salient points of the balanced pipeline.
 
-        All of them, with the shoulder: a share of the deepest would lose the shallower of several contacts.
+        All of them are used, including the shoulder: a threshold relative to the deepest would lose the shallower of
+        several contacts.
         """
         press = part_press(part)
         pipeline = Pipeline(Scene().rig, Params.preset("balanced"))
@@ -62,7 +63,7 @@ class Patch:
         return cls(part, part.template(), result.points_mm[result.salient], np.array(truth))
 
     def start(self, seed: int) -> Array:
-        """Draw a guess: turned about the patch's centroid by 5 degrees and moved by 1 mm, in random directions."""
+        """Draw a guess: rotated about the patch's centroid by 5 degrees and shifted by 1 mm, in random directions."""
         random = np.random.default_rng([seed, 20211])
         turn, move = (vector / np.linalg.norm(vector) for vector in random.normal(size=(2, 3)))
         centre = np.eye(4)
@@ -72,10 +73,10 @@ class Patch:
 
 
 def observable_error_mm(patch: Patch, found: Array) -> float:
-    """Root mean square error over the directions that the contact determines, mm.
+    """Rms error over the directions that the contact determines, mm.
 
-    The error twist about the patch's centroid, its rotation at the patch's radius, is projected on the directions in
-    which the true surface under the patch moves along its normals.
+    The error twist about the patch's centroid, with rotation scaled by the patch's radius, is projected on the
+    directions in which the true surface under the patch moves along its normals.
     """
     centre_mm = patch.points_mm.mean(axis=0)
     lever = patch.points_mm - centre_mm
@@ -105,7 +106,7 @@ def measure_registration(rounds: int, starts: int, counter: InstructionCounter, 
     instructions: dict[str, int | None] = {}
     for name, method in methods.items():
         report(f"register: {name}")
-        # RANSAC in Python takes half a second a start.
+        # RANSAC in Python takes half a second per start.
         enough = starts if name in native or "RANSAC" not in name else max(1, starts // 8)
         found = [[_error_mm(method, patch, seed) for seed in range(enough)] for patch in patches]
         errors.append((name, *_summary(found)))
@@ -131,7 +132,7 @@ def measure_registration(rounds: int, starts: int, counter: InstructionCounter, 
 
 
 def _summary(found: list[list[float]]) -> tuple[str, float]:
-    """Write the rms error of the successes and the success rate of every part."""
+    """Format the rms error of the successes and the success rate by part."""
     good = np.array([error for errors in found for error in errors if error < SUCCESS_MM])
     rates = " / ".join(f"{100 * np.mean(np.array(errors) < SUCCESS_MM):.0f}" for errors in found)
     rms_um = 1e3 * float(np.sqrt(np.mean(good**2))) if len(good) else float("nan")
@@ -189,7 +190,7 @@ def _baselines(register: Mapping[str, Any]) -> dict[str, Method]:
 
 
 def _count(counter: InstructionCounter, rung: Rung, patch: Patch) -> int | None:
-    # The program is handed points; the rungs on the part's surface need its triangles.
+    # The program receives only points; the rungs on the part's surface need its triangles.
     if not counter.present or rung.name.startswith("surface"):
         return None
     with tempfile.TemporaryDirectory() as name:

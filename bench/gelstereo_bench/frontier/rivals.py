@@ -1,7 +1,7 @@
-"""Other libraries' registration at settings that suit tactile patches, where they can be loaded.
+"""Registration by other libraries, with settings for tactile patches; libraries that cannot be loaded are left out.
 
-``pip install './bench[rivals]'`` brings them. Each takes a `Grasp` and a guess and gives a pose; settings were chosen
-on seeds of their own (900 on), for success from 10 deg and 2 mm.
+``pip install './bench[rivals]'`` installs them. Each method takes a `Grasp` and a guess and returns a pose. Settings
+were chosen on separate seeds (from 900), for success from 10 deg and 2 mm.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from gelstereo_bench.frontier.grasps import Grasp
 __all__ = ["Apart", "Method", "rivals"]
 
 Array = npt.NDArray[np.float64]
-#: From a grasp and a guess to the pose of the part in the sensor.
+#: Function from a grasp and a guess to the pose of the part in the sensor.
 Method = Callable[[Grasp, Array], Array]
 
 
 def rivals() -> tuple[dict[str, Method], dict[str, str]]:
-    """Methods of the libraries that can be loaded, by name, and why the others cannot be."""
+    """Methods of the libraries that can be loaded, by name, and the reasons why others cannot."""
     known: dict[str, tuple[tuple[str, ...], Method]] = {
         "MeshLib: ICP on the mesh": (("meshlib.mrmeshpy", "meshlib.mrmeshnumpy"), meshlib_icp),
         "Open3D: ICP, point to plane, Tukey": (("open3d",), open3d_icp),
@@ -39,26 +39,26 @@ def rivals() -> tuple[dict[str, Method], dict[str, str]]:
 
 
 def _missing(modules: tuple[str, ...]) -> str | None:
-    """Why one of the modules cannot be loaded; ``None`` if all are."""
+    """Reason why a module cannot be loaded; ``None`` if all can."""
     try:
         for module in modules:
             importlib.import_module(module)
     except ModuleNotFoundError as error:
         return f"{error.name} is not installed"
     except (ImportError, OSError) as error:
-        # A shared library that the system lacks: OSError through ctypes, ImportError through an extension.
+        # A missing shared library raises OSError through ctypes, ImportError through an extension.
         return f"cannot be loaded: {error}"
     return None
 
 
-#: Widest correspondences in turn, mm.
+#: Maximum correspondence distances in order, mm.
 _REACHES_MM = (3.0, 1.5, 0.6)
-#: Tukey's constants in turn, mm.
+#: Tukey's constants in order, mm.
 _TUKEY_MM = (1.0, 0.4, 0.12)
 
 
 def open3d_icp(grasp: Grasp, guess: Array) -> Array:
-    """Point-to-plane ICP on samples with Tukey's weights, its reach narrowed in three steps."""
+    """Point-to-plane ICP on samples with Tukey's weights and a correspondence distance reduced in three steps."""
     import open3d as o3d
 
     registration = o3d.pipelines.registration
@@ -73,7 +73,7 @@ def open3d_icp(grasp: Grasp, guess: Array) -> Array:
 
 
 def small_gicp_align(grasp: Grasp, guess: Array) -> Array:
-    """Generalised ICP on samples; the patch's covariances come from its neighbourhoods, as the library does it."""
+    """Generalised ICP on samples; the library estimates the patch's covariances from neighbourhoods."""
     import small_gicp
 
     target, tree = _kept(grasp, "small_gicp", lambda: small_gicp.preprocess_points(
@@ -97,14 +97,15 @@ def small_gicp_align(grasp: Grasp, guess: Array) -> Array:
     return np.linalg.inv(pose)
 
 
-#: FilterReg is given samples this much farther from the patch's centroid than its farthest point, mm.
+#: Margin of the samples passed to FilterReg beyond the patch's farthest point, measured from its centroid, mm.
 _MARGIN_MM = 3.0
 
 
 def probreg_filterreg(grasp: Grasp, guess: Array) -> Array:
-    """FilterReg, point to plane, from the guess, on every other sample around it.
+    """FilterReg, point to plane, from the guess, on every second sample around it.
 
-    In a process of its own: where planes leave a pose free its steps run off, and some end in a segmentation fault.
+    It runs in a separate process: where planes leave a pose undetermined its steps diverge, and some end in a
+    segmentation fault.
     """
     start = np.linalg.inv(guess)
     placed = grasp.points_mm @ start[:3, :3].T + start[:3, 3]
@@ -117,7 +118,7 @@ def probreg_filterreg(grasp: Grasp, guess: Array) -> Array:
 
 
 def _filterreg(placed_mm: Array, points_mm: Array, normals: Array) -> Array:
-    """Motion of the placed points; from a width of 1 mm down to 0.1 mm at least."""
+    """Motion of the placed points; the width decreases from 1 mm to at least 0.1 mm."""
     from probreg import filterreg
 
     found = filterreg.registration_filterreg(
@@ -137,18 +138,18 @@ def _filterreg(placed_mm: Array, points_mm: Array, normals: Array) -> Array:
 
 
 class Apart:
-    """Calls functions in a process of its own; after a crash in a new one."""
+    """Calls functions in a separate process, which is replaced after a crash."""
 
     def __init__(self) -> None:
         self._pool: ProcessPoolExecutor | None = None
 
     def call(self, function: Callable[..., Any], *arguments: object) -> Any:
-        """Give what the function gives; it and its arguments can be pickled.
+        """Return the function's result. The function and its arguments must be picklable.
 
         Raises
         ------
         RuntimeError
-            If the process ended on the way.
+            If the process crashed.
         """
         if self._pool is None:
             self._pool = ProcessPoolExecutor(max_workers=1, mp_context=get_context("spawn"))
@@ -163,7 +164,7 @@ _APART = Apart()
 
 
 def meshlib_icp(grasp: Grasp, guess: Array) -> Array:
-    """ICP of the patch on the part's triangles: first point to point, then to planes."""
+    """ICP of the patch on the part's triangles: first point to point, then point to plane."""
     from meshlib import mrmeshnumpy
     from meshlib import mrmeshpy as mr
 
@@ -189,14 +190,14 @@ def meshlib_icp(grasp: Grasp, guess: Array) -> Array:
     pose = np.eye(4)
     for row, vector in enumerate((found.A.x, found.A.y, found.A.z)):
         pose[row, :3] = vector.x, vector.y, vector.z
-    # Its numbers have single precision: the nearest rotation.
+    # The library uses single precision, so the nearest rotation is taken.
     u, _, v = np.linalg.svd(pose[:3, :3])
     pose[:3, :3] = u @ v
     pose[:3, 3] = found.b.x, found.b.y, found.b.z
     return np.asarray(np.linalg.inv(pose), np.float64)
 
 
-#: What a library makes of a template once, by library and part.
+#: Cache of the libraries' preprocessed templates, by library and part.
 _STRUCTURES: dict[tuple[str, str], Any] = {}
 
 

@@ -1,4 +1,4 @@
-"""Every rung of every ladder. Adding one is one line here."""
+"""All rungs of all stages. A new rung needs one line here."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from gelstereo import Params
 
 __all__ = ["EXACT", "FAST", "RUNGS", "Rung", "Stage", "rungs_of"]
 
-#: Names of the whole pipelines of which the targets are asked.
+#: Names of the complete pipelines to which the targets apply.
 FAST, EXACT = "preset fast", "preset exact"
 
 Stage = Literal["detect", "label", "points", "contact", "register", "whole"]
@@ -22,17 +22,17 @@ class Rung:
 
     stage: Stage
     name: str
-    #: What differs from the preset.
+    #: Differences from the preset.
     changes: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     preset: str = "paper"
 
     def params(self) -> Params:
-        """Give the settings that pick this rung."""
+        """Settings that select this rung."""
         return Params.preset(self.preset).replace({k: dict(v) for k, v in self.changes.items()})
 
 
 _FIT: dict[str, Any] = {"background": "blocks", "threshold": "auto", "centre": "fit"}
-#: Little of the errors of points and contacts is left to the centres.
+#: Settings with accurate centres, so that these contribute little to the errors of points and contacts.
 _POINTS: dict[str, dict[str, Any]] = {"detect": _FIT}
 
 RUNGS = (

@@ -1,4 +1,4 @@
-"""The native pipeline and the plain OpenCV ones behind one face."""
+"""A common interface to the native pipeline and the plain OpenCV ones."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Array = npt.NDArray[np.float64]
 
 
 def geometry_of(rig: Rig) -> StereoGeometry:
-    """What OpenCV needs of a rig."""
+    """A rig in OpenCV's terms."""
     return StereoGeometry(
         rig.left_matrix,
         rig.left_distortion,
@@ -37,13 +37,13 @@ class Runner:
         self._pipeline = Pipeline(rig, params) if native else None
         self._baseline = None if native else Baseline(geometry_of(rig), params.to_dict())
         self._sorts = params.to_dict()["label"]["method"] == "foresight"
-        #: Frames whose labels come from tracks because the sort refused.
+        #: Number of frames labelled from tracks because the sort failed.
         self.refusals = 0
-        #: Markers of the last frame that the native pipeline takes for the contact.
+        #: Markers of the last frame that the native pipeline classifies as in contact.
         self.salient: npt.NDArray[np.bool_] | None = None
 
     def process(self, frame: SimulatedFrame) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
-        """Give left pixels, points and which markers were seen."""
+        """Left pixels, points and a mask of the markers seen."""
         if self._pipeline is not None:
             result = self._pipeline.process(frame.left, frame.right)
             self.refusals += self._sorts and "tracks" in (result.left.labels, result.right.labels)
@@ -55,7 +55,7 @@ class Runner:
 
 
 def repeat_last(runner: Runner, press: Sequence[SimulatedFrame]) -> Callable[[int], object]:
-    """Process a press, then its last two frames in turn with every call."""
+    """Function that processes a press, then alternates between its last two frames with every call."""
     for frame in press:
         runner.process(frame)
     return lambda turn: runner.process(press[-1 - turn % 2])

@@ -1,4 +1,4 @@
-"""The fixed simulated scenes on which everything is measured."""
+"""The fixed simulated scenes of all measurements."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ __all__ = [
 
 Array = npt.NDArray[np.float64]
 
-#: What the page says about all figures.
+#: Conditions of all figures, stated on the page.
 CONDITIONS = (
     "simulated; unless a table says otherwise 640x480 and 25x25 markers, image noise 2 grey levels, defocus 0.8 px, "
     "paint grain, uneven light, gel shoulder and spread; fixed seeds"
@@ -48,19 +48,19 @@ _PRESS_S = 0.4
 #: Half a turn about x: the object's +z faces the camera.
 FACING_RAD = (float(np.pi), 0.0, 0.0)
 
-#: Rows and columns of the lattices whose cost is compared.
+#: Rows and columns of the lattices whose times are compared.
 LATTICES = (25, 45, 71)
 
 
 def effects(**changes: Mapping[str, float]) -> dict[str, dict[str, float]]:
-    """Give the effects of all scenes, with what differs."""
+    """The effects of all scenes, with changes."""
     names = ("sensor_noise", "defocus", "grain", "uneven_light", "shoulder", "spread")
     return {name: dict(changes.get(name, {})) for name in (*names, *(set(changes) - set(names)))}
 
 
 @dataclass(frozen=True)
 class Format:
-    """A size of images with the cameras that take them: the simulator's sensors of that name."""
+    """An image size with its cameras: the simulator's sensor presets of that name."""
 
     size_px: tuple[int, int]
 
@@ -84,12 +84,12 @@ class Format:
         return Scene.preset(f"{self.name}-{LATTICES[0]}").rig
 
     def scene(self, markers: int = LATTICES[0], gel: Mapping[str, Any] | None = None) -> Scene:
-        """Show a lattice of so many rows and columns, finer ones on about as large a gel."""
+        """Scene with a lattice of the given rows and columns; the gel's size is about the same for all."""
         return Scene.preset(f"{self.name}-{markers}").replace({"gel": dict(gel or {}), "effects": effects()})
 
 
 def layered_scene() -> Scene:
-    """Look through 20 mm of air, 3 mm of acrylic and 5 mm of gel (640x480, f 600 px, baseline 10 mm)."""
+    """Scene seen through 20 mm of air, 3 mm of acrylic and 5 mm of gel (640x480, f 600 px, baseline 10 mm)."""
     return Scene.preset("640x480-25-refraction").replace({"effects": effects()})
 
 
@@ -125,12 +125,12 @@ def sphere_press(lattice_rad: float = 0.0, seed: int = 1, scene: Scene | None = 
 
 
 def board_shape(protrusion_mm: float) -> dict[str, Any]:
-    """Make the paper's board: a block on a plate that covers the gel."""
+    """The paper's board: a block on a plate that covers the gel."""
     return {"kind": "board", "size_mm": [40.0, 40.0], "block_mm": [9.0, 9.0], "protrusion_mm": protrusion_mm}
 
 
 def board_press(protrusion_mm: float, seed: int, scene: Scene | None = None) -> list[SimulatedFrame]:
-    """Press a board until its plate lies on the gel: the block stands in it by its protrusion."""
+    """Press a board until its plate lies on the gel, so that the block is pressed in by its protrusion."""
     scene = (scene or VGA.scene()).replace({"seed": seed})
     surface_mm = scene.to_dict()["gel"]["surface_mm"]
     return press(scene, board_shape(protrusion_mm), surface_mm + protrusion_mm + 0.2, surface_mm, FACING_RAD)
@@ -138,7 +138,7 @@ def board_press(protrusion_mm: float, seed: int, scene: Scene | None = None) -> 
 
 @dataclass(frozen=True)
 class Part:
-    """A part to locate, and how it lies on the gel."""
+    """A part to locate, and its pose on the gel."""
 
     name: str
     mesh: trimesh.Trimesh
@@ -146,12 +146,12 @@ class Part:
     depth_mm: float = 1.0
 
     def template(self) -> Template:
-        """Sample the part's surface, and lay a grid of distances around it."""
+        """Template of the part: samples of its surface, and a grid of distances around it."""
         return Template.from_mesh(self.mesh, units="mm", spacing_mm=0.3).with_grid()
 
 
 def part_press(part: Part, seed: int = 1) -> list[SimulatedFrame]:
-    """Press a part as deep as it says."""
+    """Press a part to its indentation depth."""
     pose = trimesh.transformations.rotation_matrix(
         np.linalg.norm(part.rotation_rad) or 0.0, part.rotation_rad if any(part.rotation_rad) else (0, 0, 1)
     )
@@ -167,16 +167,16 @@ def part_press(part: Part, seed: int = 1) -> list[SimulatedFrame]:
 
 def _two_balls() -> trimesh.Trimesh:
     small, large = trimesh.creation.icosphere(4, 3.0), trimesh.creation.icosphere(4, 4.0)
-    small.apply_translation([-4.5, 0.0, -0.8])  # both reach about as low
+    small.apply_translation([-4.5, 0.0, -0.8])  # both reach about the same depth
     large.apply_translation([4.0, 0.0, 0.0])
     return trimesh.util.concatenate([small, large])
 
 
 def _ridge() -> trimesh.Trimesh:
-    """Make a flat roof with a short, sloping ridge: no direction is free on its four faces."""
+    """A flat roof with a short, sloping ridge; its four faces leave no direction free."""
     corners = [[-9, -7, 2], [9, -7, 2], [9, 7, 2], [-9, 7, 2], [-4, 0, -1.0], [3, 0.5, -1.5]]
     with needs(__name__):
-        # trimesh asks scipy for it.
+        # trimesh uses scipy for it.
         return trimesh.Trimesh(vertices=corners).convex_hull
 
 

@@ -37,12 +37,12 @@ class Row:
 
     stage: str
     name: str
-    #: Error as text, and as the number that the figure shows.
+    #: Error as text, and as the number for the figure.
     error: str
     value: float
     times: Times
     instructions: int | None
-    #: How many times as fast as the baseline of its stage, in the same run.
+    #: Speed relative to the baseline of its stage, in the same run.
     speed: float
     baseline: bool = False
 
@@ -161,7 +161,7 @@ def measure_labels(rounds: int, counter: InstructionCounter, report: Report) -> 
 
 
 def _wrong_labels(runner: Runner, press: Sequence[SimulatedFrame]) -> float | None:
-    """Share of markers of the last frame that stand more than a third of a pitch from where they are."""
+    """Share of markers in the last frame whose position is more than a third of a pitch from the truth."""
     try:
         for frame in press:
             left_px, _, _ = runner.process(frame)

@@ -1,4 +1,4 @@
-"""Sequences that make it hard to know which marker is which, with known truth."""
+"""Difficult sequences for marker identities, with known truth."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _PITCH_MM = 0.9
 
 @dataclass(frozen=True)
 class Shot:
-    """One stereo frame, where its markers are, and which of them both images show."""
+    """One stereo frame, the positions of its markers, and a mask of those visible in both images."""
 
     left: Image
     right: Image
@@ -34,7 +34,7 @@ class Shot:
 
     @classmethod
     def of(cls, frame: SimulatedFrame, visible: npt.NDArray[np.bool_] | None = None) -> Shot:
-        """Show all markers that lie within both images, or those of them that are there."""
+        """Create a shot in which all markers within both images are visible, or a subset."""
         height, width = frame.left.shape
         inside = np.ones(len(frame.left_px), bool)
         for pixels in (frame.left_px, frame.right_px):
@@ -44,7 +44,7 @@ class Shot:
         return cls(frame.left, frame.right, frame.left_px, frame.right_px, inside)
 
     def changed(self, change: Callable[[Image, Array], Image]) -> Shot:
-        """Change both images, given where their markers are."""
+        """Modify both images, with a function of the image and its marker positions."""
         return Shot(
             change(self.left, self.left_px),
             change(self.right, self.right_px),
@@ -56,7 +56,7 @@ class Shot:
 
 @dataclass(frozen=True)
 class Run:
-    """Frames in order; the last ones, from ``calm`` on, are undisturbed."""
+    """Frames in order; those from ``calm`` on are undisturbed."""
 
     shots: Sequence[Shot]
     calm: int
@@ -64,11 +64,11 @@ class Run:
 
 @dataclass(frozen=True)
 class Task:
-    """Sequences that put the same question, made when they are needed."""
+    """Sequences of one kind of difficulty, created lazily."""
 
     name: str
     make: Callable[[], Sequence[Run]]
-    #: Settings that a user would have to know.
+    #: Settings that the user must know.
     changes: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
 
@@ -84,7 +84,7 @@ def _pose(simulator: Simulator, depth_mm: float) -> Array:
 
 
 def _there_and_back(steps: int, still: int = 3) -> Array:
-    """Shares from 0 to 1 and back to 0, with some frames of rest after."""
+    """Fractions from 0 to 1 and back to 0, followed by some frames at rest."""
     up = np.linspace(0.0, 1.0, steps)
     return np.concatenate([up, up[-2::-1], np.zeros(still)])
 
@@ -99,7 +99,7 @@ def _press() -> list[Run]:
 
 
 def _shear(pitches: float = 2.0, twist_deg: float = 0.0, every: int = 1) -> list[Run]:
-    """Press 1 mm deep, then drag or turn the surface along with the part, and back; of every so many frames one."""
+    """Press 1 mm deep, then shear or twist the surface with the part, and back; optionally only every nth frame."""
     simulator = _simulator(drag={})
     shots = [Shot.of(simulator.press(None, frame=0))]
     shots += [Shot.of(simulator.press(_pose(simulator, depth_mm), frame=1)) for depth_mm in (0.35, 0.7)]
@@ -124,10 +124,10 @@ def _dropped() -> list[Run]:
 
 
 def _rotations() -> list[Run]:
-    """Turn the lattice in its plane by all multiples of 15 degrees; every sequence begins anew."""
+    """Rotate the lattice in its plane by all multiples of 15 degrees; every sequence has its own first frame."""
     sequences = []
     for degrees in range(0, 360, 15):
-        # A smaller lattice: the corners of the usual one would leave the image.
+        # A smaller lattice, because the corners of the usual one would leave the image.
         gel = {"rotation_rad": float(np.deg2rad(degrees)), "pitch_mm": 0.62, "dot_radius_mm": 0.16}
         simulator = _simulator(gel)
         depths_mm = (None, 0.5, 1.0, 1.5)
@@ -140,7 +140,7 @@ def _rotations() -> list[Run]:
 
 
 def _contact_first() -> list[Run]:
-    """Begin with presses of several depths: there is no rest frame."""
+    """Start under contact at several depths, without a rest frame."""
     simulator = _simulator()
     sequences = []
     for depth_mm in (0.5, 1.0, 1.5, 2.0):
@@ -150,7 +150,7 @@ def _contact_first() -> list[Run]:
 
 
 def _moved(offsets_mm: Sequence[tuple[float, float]]) -> list[Shot]:
-    """Move the whole lattice; every frame has noise of its own."""
+    """Move the whole lattice; every frame has its own noise."""
     x, y = VGA.centre_mm
     shots = []
     for index, (right_mm, down_mm) in enumerate(offsets_mm):
@@ -177,7 +177,7 @@ def _border() -> list[Run]:
 
 
 def _smears() -> list[Run]:
-    """Drag smears over the markers while a part presses."""
+    """Move smears over the markers while a part presses."""
     simulator = _simulator()
     random = np.random.default_rng(20211)
     starts = random.uniform((200, 40), (600, 440), (6, 2))
@@ -192,7 +192,7 @@ def _smears() -> list[Run]:
 
 
 def _smeared(image: Image, _: Array, *, starts: Array, ways: Array) -> Image:
-    """Wipe dark streaks over the image, blurred at their edges."""
+    """Draw dark streaks with blurred edges over the image."""
     streaks = np.zeros(image.shape, np.float32)
     for start, way in zip(starts, ways, strict=True):
         ends = [tuple(int(v) for v in np.rint(p)) for p in (start, start + way)]
@@ -202,7 +202,7 @@ def _smeared(image: Image, _: Array, *, starts: Array, ways: Array) -> Image:
 
 
 def _missing() -> list[Run]:
-    """Leave out 20 % of the print, but none of the border, so that rows and columns can be counted."""
+    """Omit 20 % of the dots, but none at the border, so that rows and columns can be counted."""
     random = np.random.default_rng(20212)
     inner = [(row, col) for row in range(1, 24) for col in range(1, 24)]
     chosen = [inner[i] for i in random.choice(len(inner), 125, replace=False)]
@@ -217,7 +217,7 @@ def _missing() -> list[Run]:
 
 
 def _merged() -> list[Run]:
-    """Join pairs of neighbours by a bar of their colour, for some frames of a press."""
+    """Join pairs of neighbours by a bar of their colour in some frames of a press."""
     simulator = _simulator()
     random = np.random.default_rng(20213)
     pairs = [(25 * row + col, 25 * row + col + 1) for row, col in random.integers(1, 23, (12, 2))]

@@ -1,4 +1,4 @@
-"""Time of a stereo frame over image sizes and lattices, beside a fast OpenCV implementation; and what it grows with."""
+"""Time of a stereo frame over image and lattice sizes, compared with a fast OpenCV implementation, and its growth."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ __all__ = [
     "stage_table",
 ]
 
-#: Calls in a row before others take their turn: a camera's frames come one after the other, too.
+#: Consecutive calls before switching to another method, like consecutive frames of a camera.
 _BURST = 5
 _THREADS: tuple[Literal[1, 2], ...] = (1, 2)
 _STAGES = ("track", "again", "afresh", "detect", "triangulate")
@@ -50,40 +50,40 @@ class Speed:
     markers: int
     method: str
     times: Mapping[str, Times]
-    #: What the pipeline held at most, or none when it is not the core's own program that was timed.
+    #: Peak memory of the pipeline; None if the core's own program was not used.
     memory_bytes: int | None = None
     refused: str = ""
-    #: Of one frame after the other but the first, or none where they were not counted.
+    #: Instructions of each frame except the first; None if not counted.
     instructions: Sequence[int] = ()
 
     @property
     def unevenness(self) -> float:
-        """Instructions of the longest frame over their median: evenness of the code, whatever the machine does."""
+        """Maximum over median of the instructions per frame: variation of the code, independent of the machine."""
         counts = self.instructions
         return max(counts) / float(np.median(counts)) if counts else float("nan")
 
     @property
     def machine_tail(self) -> float:
-        """99 % quantile over median of one frame again and again: what the machine adds where the work is the same."""
+        """99 % quantile over median of the time of one repeated frame: variation added by the machine."""
         again = self.times.get("again", Times.of([]))
         return again.p99_ms / again.median_ms
 
     @property
     def track_ms(self) -> float:
-        """Median of a frame that follows another."""
+        """Median time of a tracked frame."""
         return self.times["track"].median_ms if "track" in self.times else float("nan")
 
 
 def measure_speed(
     rounds: int, source: Path | None, report: Report, lattices: Sequence[int] = LATTICES
 ) -> list[Speed]:
-    """Time every preset on every image size and lattice, in turn with OpenCV."""
+    """Time every preset on every image size and lattice, alternating with OpenCV."""
     program, counter = Stopwatch.program(source), InstructionCounter(source)
     found: list[Speed] = []
     for size in FORMATS:
         for markers in lattices:
             report(f"speed: {size.name}, {markers}x{markers} markers")
-            # Callgrind takes its time: one format shows how even the frames are.
+            # Callgrind is slow, so the variation between frames is measured for one format only.
             counted = size is FORMATS[0] and markers == LATTICES[0]
             found += _measure(size, markers, rounds, program, counter if counted else None)
     return found
@@ -135,7 +135,7 @@ def _measure(
 
 
 def _there_and_back(turn: int, count: int) -> int:
-    """Index of frames in turn, there and back, as the core's program takes them."""
+    """Frame index, forwards and backwards, as in the core's program."""
     period = 2 * max(count, 2) - 2
     return min(turn % period, period - turn % period, count - 1)
 
@@ -143,7 +143,7 @@ def _there_and_back(turn: int, count: int) -> int:
 def _from_python(
     size: Format, params: Params, press: Sequence[SimulatedFrame]
 ) -> Callable[[str, int], list[int]]:
-    """Time whole frames through the binding: what can be done without the sources."""
+    """Time complete frames through the binding; this needs no sources."""
     pipeline = Pipeline(size.rig(), params)
     for frame in press:
         pipeline.process(frame.left, frame.right)
@@ -161,7 +161,7 @@ def _from_python(
 
 
 def _baseline(size: Format, press: Sequence[SimulatedFrame]) -> Callable[[str, int], list[int]]:
-    # Its threshold is set by hand to what these scenes need; finding one would cost it time.
+    # The baseline's threshold is set by hand for these scenes; estimating it would take additional time.
     settings = Params.preset("balanced").to_dict()
     settings["detect"] |= {"threshold_levels": 20, "min_area_px2": 3}
     fast = FastBaseline(geometry_of(size.rig()), settings)
@@ -187,7 +187,7 @@ def _timed(work: Callable[[SimulatedFrame], object], frames: Sequence[SimulatedF
 
 
 def speed_table(found: Sequence[Speed]) -> Table:
-    """Times of whole frames."""
+    """Times of complete frames."""
     baseline = {(s.size.name, s.markers): s.track_ms for s in found if s.method == BASELINE}
     rows = []
     for speed in found:
@@ -209,7 +209,7 @@ def speed_table(found: Sequence[Speed]) -> Table:
 
 
 def stage_table(found: Sequence[Speed]) -> Table:
-    """Times of the stages where the core's program could be timed."""
+    """Times of the stages, where the core's program was timed."""
     rows = []
     for speed in found:
         if speed.markers != 25 or not set(_STAGES) <= set(speed.times):
@@ -228,17 +228,17 @@ def stage_table(found: Sequence[Speed]) -> Table:
 
 @dataclass(frozen=True)
 class Growth:
-    """Time as a sum of what pixels and markers cost, least squares with no negative term."""
+    """Time as a sum of costs per pixel and per marker, by non-negative least squares."""
 
     base_ms: float
     ns_per_pixel: float
     us_per_marker: float
-    #: Largest distance of a time from the sum, over the time.
+    #: Largest relative residual.
     residual: float
 
     @classmethod
     def of(cls, speeds: Sequence[Speed], stage: str) -> Growth | None:
-        """Fit, or none with too few times. Weights make relative errors count alike."""
+        """Fit, or None with too few times. Weights make it a fit of relative errors."""
         known = [speed for speed in speeds if stage in speed.times]
         if len(known) < 4:
             return None
@@ -250,7 +250,7 @@ class Growth:
 
 
 def growth_table(found: Sequence[Speed]) -> Table:
-    """What a pixel and a marker cost."""
+    """Costs per pixel and per marker."""
     rows = []
     for method in dict.fromkeys(speed.method for speed in found):
         for stage in ("track", "afresh"):
@@ -284,12 +284,12 @@ def measure_threads(rounds: int, report: Report) -> Table:
     return Table("threads", ["preset", "one thread ms", "two threads ms", "speed-up", "results"], rows)
 
 
-#: What OpenCV takes where the bounds in milliseconds hold: elsewhere the ratio to it says as much.
+#: OpenCV's time on the machine for which the targets in milliseconds are stated; it converts them to ratios.
 _OPENCV_MS = {("640x480", 25): 8.0, ("1280x720", 25): 18.0}
 
 
 def speed_targets(found: Sequence[Speed]) -> list[Target]:
-    """The bounds in milliseconds, and as ratios to OpenCV in the same run, which do not depend on the machine."""
+    """Targets in milliseconds, and as ratios to OpenCV in the same run, which are independent of the machine."""
     limits = {
         ("640x480", 25): ((FAST, 0.6, 1.5), (EXACT, None, 8.0)),
         ("1280x720", 25): ((FAST, 1.0, 3.5),),

@@ -1,4 +1,4 @@
-"""What a measurement gives: tables for the page, and targets with the figures reached."""
+"""Results of a measurement: tables for the page, and targets with the values reached."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 __all__ = ["Report", "Table", "Target", "figure"]
 
-#: Told what is being measured.
+#: Called with a description of the present measurement.
 Report = Callable[[str], None]
 
 
@@ -23,22 +23,22 @@ class Table:
 
 @dataclass(frozen=True)
 class Target:
-    """A figure that is asked for, and the one reached; not a number stands for one that could not be measured."""
+    """A target value and the value reached; NaN if it could not be measured."""
 
     what: str
     limit: float
     measured: float
     unit: str
-    #: Whether the figure may not be above (below) the limit.
+    #: Whether the limit is an upper (lower) one.
     at_most: bool = True
 
     @property
     def met(self) -> bool:
-        """Whether the target is reached."""
+        """Whether the target is met."""
         return self.measured <= self.limit if self.at_most else self.measured >= self.limit
 
     def line(self) -> list[str]:
-        """Write it as a row of the table of targets."""
+        """Format as a row of the table of targets."""
         sign = "<=" if self.at_most else ">="
         unit = f" {self.unit}" if self.unit else ""
         return [
@@ -50,7 +50,7 @@ class Target:
 
 
 def figure(value: float) -> str:
-    """Write a figure with three digits, or a dash for what is not known."""
+    """Format a figure with three digits, or a dash if unknown."""
     if not math.isfinite(value):
         return "-"
     if value == 0.0 or abs(value) >= 100.0:

@@ -1,4 +1,4 @@
-"""Times side by side, and instruction counts where callgrind is present."""
+"""Interleaved timing of methods, and instruction counts if callgrind is available."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Times:
 
     @classmethod
     def of(cls, nanoseconds: Sequence[int]) -> Times:
-        """Summarise times; not a number when there are none."""
+        """Summarise times; NaN without times."""
         if not nanoseconds:
             return cls(float("nan"), float("nan"))
         return cls(float(np.median(nanoseconds)) * 1e-6, float(np.percentile(nanoseconds, 99)) * 1e-6)
@@ -36,9 +36,10 @@ class Times:
 def time_side_by_side(
     calls: Mapping[str, Callable[[int], object]], rounds: int, running: int = 1
 ) -> dict[str, Times]:
-    """Call everything once per round, so that whatever disturbs the machine disturbs all alike.
+    """Call each method once per round, so that disturbances of the machine affect all methods equally.
 
-    Each call gets its number; a round may be several calls running. Two rounds before the measurement warm up.
+    Each call receives its number; a round may have several consecutive calls. Two warm-up rounds precede the
+    measurement.
     """
     taken: dict[str, list[int]] = {name: [] for name in calls}
     for turn in range(-2, rounds):
@@ -52,7 +53,7 @@ def time_side_by_side(
 
 
 def _built(source: Path | None, example: str) -> Path | None:
-    """One of the core's example programs, built when sources and cargo are here."""
+    """One of the core's example programs, built if sources and cargo are available."""
     if source is None or not (source / "crates").is_dir() or shutil.which("cargo") is None:
         return None
     build = ["cargo", "build", "--release", "--quiet", "--package", "gelstereo-core"]
@@ -63,9 +64,9 @@ def _built(source: Path | None, example: str) -> Path | None:
 
 
 class InstructionCounter:
-    """Counts instructions of single stages by callgrind on the core's example ``rung``.
+    """Counts instructions of single stages with callgrind on the core's example ``rung``.
 
-    Present only beside the sources, with cargo and valgrind; otherwise counts are `None`.
+    It needs the sources, cargo and valgrind; otherwise counts are `None`.
     """
 
     def __init__(self, source: Path | None) -> None:
@@ -73,17 +74,17 @@ class InstructionCounter:
 
     @property
     def present(self) -> bool:
-        """Whether there is a way to count."""
+        """Whether instructions can be counted."""
         return self._program is not None
 
     def count(self, stage: str, files: Sequence[Path]) -> int | None:
-        """Count the instructions of the last piece of input, or `None` when that fails."""
+        """Count the instructions for the last input; `None` on failure."""
         finished = self._run(stage, files, "--callgrind-out-file=/dev/null")
         found = re.search(r"Collected : (\d+)", finished.stderr) if finished else None
         return int(found[1]) if found else None
 
     def count_each(self, stage: str, files: Sequence[Path]) -> list[int]:
-        """Count the instructions of every piece of input that the stage measures, in order; empty when that fails."""
+        """Count the instructions for every input of the stage, in order; empty on failure."""
         with tempfile.TemporaryDirectory() as folder:
             out = f"--callgrind-out-file={folder}/count"
             if self._run(stage, files, out, "--dump-after=rung::measured*") is None:
@@ -95,7 +96,7 @@ class InstructionCounter:
     def _run(
         self, stage: str, files: Sequence[Path], *options: str
     ) -> subprocess.CompletedProcess[str] | None:
-        """Run a stage under callgrind; `None` when that fails."""
+        """Run a stage under callgrind; `None` on failure."""
         if self._program is None:
             return None
         command = ["valgrind", "--tool=callgrind", "--collect-atstart=no", "--toggle-collect=*measured*"]
@@ -105,9 +106,9 @@ class InstructionCounter:
 
 
 class Stopwatch:
-    """Times stages of one pipeline call by call, without the binding's cost, by the core's example ``time``.
+    """Times the stages of one pipeline call by call with the core's example ``time``, without the binding's cost.
 
-    The program waits for its turn, so that several, and other code, can take turns on one processor.
+    The program runs on request, so several of them and other code can alternate on one processor.
     """
 
     def __init__(self, program: Path, files: Sequence[Path]) -> None:
@@ -129,7 +130,7 @@ class Stopwatch:
         if len(words) != 2 or words[0] != "memory":
             told = self._process.communicate()[1].strip()
             raise Error(f"the pipeline cannot be timed: {told or words}")
-        #: The most memory that pipeline, scratch and results held at one time.
+        #: Peak memory of pipeline, scratch and results.
         self.memory_bytes = int(words[1])
 
     @staticmethod
@@ -142,7 +143,7 @@ class Stopwatch:
         return self._process.stdout.readline()
 
     def times_ns(self, what: str, calls: int) -> list[int]:
-        """Times of so many calls; empty when the pipeline refuses."""
+        """Times of several calls; empty if the pipeline reports an error."""
         assert self._process.stdin is not None
         self._process.stdin.write(f"{what} {calls}\n")
         self._process.stdin.flush()

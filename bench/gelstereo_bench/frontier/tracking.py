@@ -1,4 +1,4 @@
-"""Whether every marker keeps its name: shares of right identities over hard sequences."""
+"""Correctness of marker identities over difficult sequences."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Flags = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Named:
-    """What a method says of a frame: where marker ``row * cols + col`` is in each view, and whether it knows."""
+    """A method's result for a frame: position of marker ``row * cols + col`` in each view, and whether it was seen."""
 
     left_px: Array
     right_px: Array
@@ -37,7 +37,7 @@ class Named:
     cols: int
 
 
-#: From a frame to names; refuses with `Error` or `ValueError`.
+#: Function from a frame to labelled positions; may raise `Error` or `ValueError`.
 Method = Callable[[Shot], Named]
 
 
@@ -45,32 +45,32 @@ Method = Callable[[Shot], Named]
 class Score:
     """Counts over all markers of all frames of a task."""
 
-    #: Seen, and where that marker is.
+    #: Seen, with the right identity.
     right: int = 0
-    #: Seen, but elsewhere: the worst that can happen.
+    #: Seen, with a wrong identity: the worst error.
     switched: int = 0
-    #: Shown by both images, but held or lost.
+    #: Visible in both images, but held or lost.
     unseen: int = 0
-    #: Frames without an answer; their markers count as unseen.
+    #: Frames without a result; their markers count as unseen.
     refused: int = 0
     frames: int = 0
-    #: Of each run: calm frames until all shown markers were seen right, or none when they never were.
+    #: Calm frames of each run until all visible markers were seen with the right identity; None if never.
     reacquired: list[int | None] = field(default_factory=list)
 
     @property
     def right_share(self) -> float:
-        """Right among those seen."""
+        """Fraction of seen markers with the right identity."""
         seen = self.right + self.switched
         return self.right / seen if seen else float("nan")
 
     @property
     def unseen_share(self) -> float:
-        """Held or lost among those shown."""
+        """Fraction of visible markers held or lost."""
         shown = self.right + self.switched + self.unseen
         return self.unseen / shown if shown else float("nan")
 
     def cell(self) -> str:
-        """Write it for the table."""
+        """Format for the table."""
         if self.refused == self.frames:
             return "refused"
         known = [frames for frames in self.reacquired if frames is not None]
@@ -82,7 +82,7 @@ class Score:
 
 
 def score(task: Task, runs: Sequence[Run], begin: Callable[[Shot], Method]) -> Score:
-    """Run a method, begun anew with each first frame, over a task's sequences."""
+    """Run a method, restarted with each first frame, over a task's sequences."""
     total = Score()
     for run in runs:
         _score_run(run, begin(run.shots[0]), total)
@@ -103,7 +103,7 @@ def _score_run(run: Run, method: Method, total: Score) -> None:
             continue
         if names is None:
             names = _names(found, shot)
-        if names is None:  # another number of markers: no name can be right
+        if names is None:  # another number of markers: no identity can be right
             total.switched += int(found.seen.sum())
             continue
         right, wrong = _judge(found, shot, names)
@@ -116,7 +116,7 @@ def _score_run(run: Run, method: Method, total: Score) -> None:
 
 
 def _judge(found: Named, shot: Shot, names: npt.NDArray[np.intp]) -> tuple[Flags, Flags]:
-    """Tell which true markers are seen where they are, and which are seen elsewhere."""
+    """Masks of true markers seen with the right identity, and with a wrong one."""
     near = np.ones(len(names), bool)
     for truth, claimed in ((shot.left_px, found.left_px), (shot.right_px, found.right_px)):
         pitch_px = float(np.median(cKDTree(truth).query(truth, k=2)[0][:, 1]))
@@ -126,7 +126,7 @@ def _judge(found: Named, shot: Shot, names: npt.NDArray[np.intp]) -> tuple[Flags
 
 
 def _names(found: Named, shot: Shot) -> npt.NDArray[np.intp] | None:
-    """Find the name of every true marker: a turned square lattice may be counted from any of its four corners."""
+    """Label of every true marker; a rotated square lattice may be counted from any of its four corners."""
     side = round(np.sqrt(len(shot.left_px)))
     if len(found.left_px) != side * side or found.cols != side:
         return None
@@ -169,7 +169,7 @@ def _paper(params: Params) -> Callable[[Shot], Method]:
 
 
 def _linked(params: Params) -> Callable[[Shot], Method]:
-    """Plain OpenCV with nearest neighbours; the first frame's names are given, which flatters it."""
+    """Plain OpenCV with nearest neighbours; the first frame's labels are given, which favours it."""
 
     def begin(first: Shot) -> Method:
         fast = FastBaseline(geometry_of(VGA.rig()), params.to_dict())

@@ -1,1 +1,1 @@
-"""Pages of the manual that are measured, not written: each command fills the part between its page's markers."""
+"""Generated pages of the manual: each command fills the part between its page's comment markers."""

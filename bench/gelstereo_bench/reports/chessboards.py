@@ -1,7 +1,7 @@
-"""The real chessboards: our calibration beside mrcal's on the same corners, and the board as each rig sees it.
+"""Real chessboards: our calibration and mrcal's on the same corners, and the board's shape according to each rig.
 
 Run ``python -m gelstereo_bench.reports.chessboards --data FOLDER`` to fill docs/real-chessboards.md. mrcal is Debian's
-package of that name (https://mrcal.secretsauce.net); without it the second opinion is left out, and the page says so.
+package of that name (https://mrcal.secretsauce.net). Without it the comparison is left out, and the page states that.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ __all__ = [
 
 Array = npt.NDArray[np.float64]
 
-#: Inner corners (columns, rows). Lengths are squares: nobody says how long their sides are.
+#: Inner corners (columns, rows). The unit of length is one square, because its side is not documented.
 BOARD = (9, 6)
 _MRCAL = "mrcal-calibrate-cameras"
 
@@ -55,11 +55,11 @@ class Boards:
 
 @dataclass(frozen=True)
 class Flatness:
-    """What a rig makes of the boards, in squares, over all corners of all pairs."""
+    """Shape of the triangulated boards with a rig, in squares, over all corners of all pairs."""
 
-    #: Root mean square distance from each board's plane.
+    #: Rms distance from each board's plane.
     plane_rms: float
-    #: Mean and standard deviation of the distance of neighbouring corners; 1 is right.
+    #: Mean and standard deviation of the distance of neighbouring corners; the true value is 1.
     side_mean: float
     side_sigma: float
 
@@ -80,14 +80,14 @@ def read_corners(folder: Path) -> Boards:
 
 
 def calibrate(boards: Boards) -> StereoCalibration:
-    """Calibrate by the project's own path, lengths in squares."""
+    """Calibrate with gelstereo, lengths in squares."""
     return calibrate_corners(
         boards.left_px, boards.right_px, size_px=boards.size_px, board=BOARD, square_mm=1.0
     )
 
 
 def triangulate_rig(rig: Rig, left_px: Array, right_px: Array) -> Array:
-    """Corners in space by our own triangulation; the board may be as far from the rows as its noise puts it."""
+    """Corners in space by gelstereo's triangulation, with a wide epipolar limit for noisy corners."""
     params = Params().replace({"triangulate.max_epipolar_px": 10.0})
     return triangulate(rig, left_px, right_px, params)
 
@@ -110,14 +110,14 @@ def flatness(boards_mm: Sequence[Array]) -> Flatness:
         grid = points.reshape(rows, cols, 3)
         sides += [np.linalg.norm(np.diff(grid, axis=axis), axis=-1).ravel() for axis in (0, 1)]
     side = np.concatenate(sides)
-    # A plane takes three degrees of freedom from each board.
+    # The plane fit uses three degrees of freedom per board.
     freedom = sum(len(o) - 3 for o in off)
     rms = float(np.sqrt(sum(float((o**2).sum()) for o in off) / freedom))
     return Flatness(rms, float(side.mean()), float(side.std()))
 
 
 def mrcal_rig(boards: Boards) -> tuple[Rig, float] | None:
-    """Calibrate the same corners by mrcal: its rig and its rms error in 2-D pixels, or `None` where it is absent."""
+    """Calibrate the same corners with mrcal: its rig and rms error in 2-D pixels, or `None` if it is not installed."""
     program = shutil.which(_MRCAL)
     if program is None:
         return None
@@ -128,14 +128,14 @@ def mrcal_rig(boards: Boards) -> tuple[Rig, float] | None:
         command += ["--focal", str(0.8 * boards.size_px[0]), "--imagersize", *map(str, boards.size_px)]
         command += ["--object-spacing", "1", "--object-width-n", str(BOARD[0])]
         command += ["--object-height-n", str(BOARD[1])]
-        # As OpenCV: the board is flat, and every corner counts.
+        # As in OpenCV, the board is flat, and no corner is rejected.
         command += ["--skip-calobject-warp-solve", "--skip-outlier-rejection", "left*.jpg", "right*.jpg"]
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
         if done.returncode != 0:
             raise Error(f"{_MRCAL} failed: {done.stderr.strip().splitlines()[-1:]}")
         models = [ast.literal_eval((folder / f"camera-{i}.cameramodel").read_text()) for i in (0, 1)]
     final = [line for line in (done.stdout + done.stderr).splitlines() if "RMS error:" in line][-1]
-    # mrcal's error is that of one coordinate.
+    # mrcal's error is per coordinate.
     return _rig_of(models, boards.size_px), float(final.split(":")[1]) * float(np.sqrt(2.0))
 
 
@@ -148,7 +148,7 @@ def _write_corners(path: Path, boards: Boards) -> None:
 
 
 def _rig_of(models: Sequence[dict[str, list[float]]], size_px: tuple[int, int]) -> Rig:
-    """Our rig from two camera models: fx, fy, cx, cy, k1, k2, p1, p2, k3 and a rotation vector with translation."""
+    """Rig from two camera models: fx, fy, cx, cy, k1, k2, p1, p2, k3 and a rotation vector with translation."""
     cameras, poses = [], []
     for model in models:
         fx, fy, cx, cy, *distortion = model["intrinsics"]

@@ -1,8 +1,7 @@
 """Displacements between rest and press frames of a real gel, through the whole pipeline.
 
 The recordings of the wheel pytac3d are clouds without images. Their markers are rendered through a simulated stereo
-rig, and the images go through detection, labels, tracking and triangulation; what comes out is compared with the
-recording.
+rig. Detection, labelling, tracking and triangulation run on the images, and the result is compared with the recording.
 
 Run ``python -m gelstereo_bench.reports.displacements`` to fill docs/real-recordings.md and draw its picture; it needs
 the wheel (``pip install --no-deps pytac3d==3.3.0.9``).
@@ -28,38 +27,38 @@ Array = npt.NDArray[np.float64]
 
 EPISODES = ("two balls", "cylinder", "plane")
 SALIENCY_MM = float(Params().to_dict()["contact"]["saliency_mm"])
-#: Puts the recorded gel where both cameras of the default rig see all of it.
+#: Offset that places the recorded gel in the view of both cameras of the default rig.
 _SHIFT_MM = np.array([4.5, 0.6, 17.25])
 _EFFECTS: dict[str, dict[str, float]] = {"sensor_noise": {}, "grain": {}, "uneven_light": {}, "defocus": {}}
 
 
 @dataclass(frozen=True)
 class Replay:
-    """What the pipeline makes of a recording's markers, frame by frame; M markers, F frames."""
+    """Results of the pipeline for a recording's markers; M markers, F frames."""
 
-    #: The recording with its markers in reading order of the images.
+    #: The recording with its markers in row-major order of the images.
     recording: CloudRecording
     #: (M, 2) and (F, M, 2), left and right image, pixels.
     rest_px: tuple[Array, Array]
     press_px: tuple[Array, Array]
-    #: (F, M, 2) where the markers are in the left image.
+    #: (F, M, 2) true positions of the markers in the left image.
     true_px: Array
-    #: (F, M, 3) from rest, measured, millimetres, sensor frame.
+    #: (F, M, 3) measured displacements from rest, millimetres, sensor frame.
     displacement_mm: Array
-    #: (F, M, 3, 3) the pipeline's own covariance of them.
+    #: (F, M, 3, 3) covariances stated by the pipeline.
     covariance_mm2: Array
-    #: (F, M) whether the marker was seen in both views.
+    #: (F, M) mask of the markers seen in both views.
     seen: npt.NDArray[np.bool_]
-    #: (H, W) left images of the frames asked for.
+    #: (H, W) left images of the requested frames.
     images: dict[int, npt.NDArray[np.uint8]]
 
     @property
     def recorded_mm(self) -> Array:
-        """Displacements (F, M, 3) that the recording itself gives."""
+        """Displacements (F, M, 3) of the recording."""
         return self.recording.points_mm - self.recording.rest_mm
 
     def switched(self) -> npt.NDArray[np.int64]:
-        """Count, for every frame (F,), the markers that are nearer another one's true place than their own."""
+        """Number of markers, per frame (F,), that are nearer to another marker's true position than to their own."""
         counts = []
         for found_px, true_px in zip(self.press_px[0], self.true_px, strict=True):
             apart = ((found_px[:, None] - true_px[None]) ** 2).sum(axis=2)
@@ -67,7 +66,7 @@ class Replay:
         return np.array(counts)
 
     def nees(self) -> Array:
-        """Squared error (F, M) of every displacement over its covariance; 3 on average if that is right."""
+        """Squared error (F, M) of every displacement, normalised by its covariance; 3 on average if that is right."""
         error = self.displacement_mm - self.recorded_mm
         return np.asarray(
             np.einsum("fmi,fmi->fm", error, np.linalg.solve(self.covariance_mm2, error[..., None])[..., 0])
@@ -80,13 +79,13 @@ def replay(recording: CloudRecording, preset: str = "balanced", keep: tuple[int,
     Parameters
     ----------
     recording
-        Clouds in PyTac3D's order and frame.
+        Point clouds in PyTac3D's order and frame.
     preset
         The pipeline's settings; only the pitch is set.
     keep
-        Frames of which the left image is wanted.
+        Frames whose left images are kept.
     """
-    # PyTac3D counts rows and columns from the far corner: against x and y of the image.
+    # PyTac3D counts rows and columns from the opposite corner, against x and y of the image.
     points_mm, rest_mm = recording.points_mm[:, ::-1], recording.rest_mm[::-1]
     recording = CloudRecording(
         recording.name, recording.rows, recording.cols, points_mm, rest_mm, recording.time_s

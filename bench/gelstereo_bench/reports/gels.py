@@ -1,4 +1,4 @@
-"""Real gel images that nobody on this project took: detected, labelled, drawn.
+"""Real gel images from other sources: detection, labels, and pictures.
 
 Run ``python -m gelstereo_bench.reports.gels --data FOLDER`` to fill docs/real-images.md and its pictures.
 """
@@ -32,28 +32,28 @@ class Located:
 
     @property
     def cut(self) -> npt.NDArray[np.bool_]:
-        """Which markers of the lattice the border cuts: their positions are those of what is left to see."""
+        """Mask of markers cut by the image border; their positions are those of the visible parts."""
         apart = self.lattice.positions_px[:, None] - self.markers.cut_centres_px[None]
         return np.asarray((np.abs(apart).max(axis=2) == 0.0).any(axis=1))
 
 
 @dataclass(frozen=True)
 class RealGel:
-    """One real image and what has to be said of it."""
+    """One real image with its description."""
 
     name: str
-    #: Below the data folder.
+    #: Path below the data folder.
     path: str
     polarity: Literal["dark", "bright"]
     channel: Literal["blue", "green", "red", "grey"]
     source: str
 
     def params(self, preset: str = "balanced") -> Params:
-        """Give a preset with the image's polarity: neither threshold nor marker size nor lattice is set."""
+        """A preset with the image's polarity; threshold, marker size and lattice are not set."""
         return Params.preset(preset).replace(detect={"polarity": self.polarity})
 
     def read(self, data: Path) -> Image:
-        """Read the channel of the image in which the markers show best."""
+        """Read the image channel with the best marker contrast."""
         image = cv2.imread(str(data / self.path))
         if image is None:
             raise Error(f"{data / self.path} is not an image")
@@ -62,12 +62,12 @@ class RealGel:
         return np.ascontiguousarray(image[:, :, ("blue", "green", "red").index(self.channel)])
 
     def locate(self, data: Path, preset: str = "balanced") -> Located:
-        """Detect the markers, those that the border cuts included, count rows and columns, and label.
+        """Detect the markers, including those cut by the border, count rows and columns, and label.
 
         Raises
         ------
         Error
-            The markers cannot be detected or labelled; it says why.
+            The markers cannot be detected or labelled; the message states why.
         """
         params = self.params(preset)
         markers = Detector(params).detect(self.read(data))
@@ -151,8 +151,8 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _foresight(lattice: RestLattice) -> str:
-    """Say whether Algorithm 1 gives the complete lattice the same labels."""
-    # Shuffled by a fixed stride, so that the order given cannot be the answer.
+    """Whether Algorithm 1 assigns the same labels to the complete lattice."""
+    # Shuffled by a fixed stride, so that the input order cannot be the result.
     count = lattice.rows * lattice.cols
     shuffled = np.argsort(np.arange(count) * 37 % count, kind="stable")
     tolerance_px = Params().to_dict()["label"]["tolerance_pitches"] * lattice.pitch_px

@@ -1,4 +1,4 @@
-"""Meshes that others made, pressed into the simulated gel and localized.
+"""Meshes from other projects, pressed into the simulated gel and localized.
 
 Run ``python -m gelstereo_bench.reports.meshes --meshes FOLDER`` to fill the table in docs/real-recordings.md. In the
 folder are ``factory_meshes`` (pegs and a bolt of isaac-sim/IsaacGymEnvs) and ``meshes_realsense`` (a USB plug of
@@ -25,27 +25,28 @@ __all__ = ["PARTS", "MeshPart", "main", "measure"]
 
 @dataclass(frozen=True)
 class MeshPart:
-    """One mesh, and how it lies on the gel."""
+    """One mesh, and its pose on the gel."""
 
     name: str
     path: str
-    #: How far behind its tip the part is held, mm: from and to.
+    #: Range of the distance from the tip to where the part is held, mm.
     held_mm: tuple[float, float]
     #: Whether it lies on a wide face, normal along its y axis.
     flat: bool = False
-    #: Which of the mesh's axes points to the tip.
+    #: Axis of the mesh that points to the tip.
     along: int = 2
 
     def mesh(self, folder: Path) -> trimesh.Trimesh:
         """Read the mesh in mm, its axis along z."""
         vertices, triangles = load_mesh(folder / self.path, "m")
-        # A cycle of the axes keeps the triangles' sense; y stays the wide face's normal when x becomes z.
+        # A cyclic permutation of the axes preserves the triangles' orientation; y stays the wide face's normal if x
+        # becomes z.
         if self.along == 0:
             vertices = np.column_stack([-vertices[:, 2], vertices[:, 1], vertices[:, 0]])
         return trimesh.Trimesh(vertices, triangles, process=True)
 
     def press(self, folder: Path) -> Press:
-        """Describe the press."""
+        """The press of this mesh."""
         return Press(self.name, lambda: self.mesh(folder), self.held_mm, self.flat)
 
 
@@ -63,7 +64,7 @@ PARTS = (
 def measure(part: MeshPart, folder: Path, rung: Rung, start: Start, seeds: range) -> list[Score]:
     """Localize a part in one contact per seed, with the first noise; errors are over observable directions.
 
-    A rung that refuses leaves the guess as it was.
+    If a rung raises an error, the guess is used.
     """
     params = rung.params()
     scores = []

@@ -1,4 +1,4 @@
-"""The elastic layer against a real sensor: what gel does beside a contact, from what it does under it.
+"""The elastic layer compared with a real sensor: prediction of the gel beside a contact from the gel under it.
 
 Run ``python -m gelstereo_bench.reports.physics`` to fill docs/simulator-physics.md; it needs the recordings of the
 wheel pytac3d (``pip install --no-deps pytac3d==3.3.0.9``).
@@ -51,7 +51,7 @@ _LENGTHS_MM = (0.2, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0)
 
 @dataclass(frozen=True)
 class Gel:
-    """A layer that a sensor may have."""
+    """Parameters of a gel layer."""
 
     thickness_mm: float
     poisson_ratio: float
@@ -59,21 +59,21 @@ class Gel:
 
 @dataclass(frozen=True)
 class Press:
-    """One frame: how the markers moved, and which of them touch the part."""
+    """One frame: motion of the markers, and a mask of those in contact."""
 
     motion_mm: Array
     touches: Bools
-    #: Free markers that are compared: all but the outermost, whose gel ends beside them.
+    #: Free markers used for comparison: all except the outermost, at which the gel ends.
     free: Bools
 
 
 @dataclass(frozen=True)
 class Beside:
-    """Markers beside the contact, measured or simulated: heights and sideways motion of a frame."""
+    """Measured or simulated heights and lateral motion of the markers beside the contact in a frame."""
 
     rise_mm: float
     sideways_mm: float
-    #: Motion along the direction in which the part carried the gel, over the part's own.
+    #: Motion along the direction in which the part dragged the gel, relative to the part's motion.
     carried: float
 
 
@@ -112,14 +112,14 @@ def _contact(gel: Gel, rows: int, cols: int, pitch_mm: float) -> LayerContact:
 
 
 def of_layer(press: Press, gel: Gel, pitch_mm: float) -> Array:
-    """Motion of all markers on a layer whose touching markers move as the recorded ones do."""
+    """Motion of all markers of a layer whose markers in contact move as recorded."""
     layer = _contact(gel, *press.touches.shape, pitch_mm)
     heights = np.where(press.touches, np.minimum(press.motion_mm[..., 2], gel.thickness_mm), -np.inf)
     return np.asarray(layer.press(heights, press.motion_mm[..., :2], tolerance_mm=1e-4).motion_mm)
 
 
 def membrane(press: Press, length_mm: float, pitch_mm: float) -> Array:
-    """Heights of the membrane that the effect ``shoulder`` has, held at the touching markers."""
+    """Heights of the membrane of the effect ``shoulder``, prescribed at the markers in contact."""
     held = press.touches
     heights = np.where(held, press.motion_mm[..., 2], 0.0)
     weight = (length_mm / pitch_mm) ** 2
@@ -131,7 +131,7 @@ def membrane(press: Press, length_mm: float, pitch_mm: float) -> Array:
 
 
 def beside(motion_mm: Array, press: Press) -> Beside:
-    """Say what the free markers of a frame do."""
+    """Heights and motion of the free markers in a frame."""
     free = motion_mm[press.free]
     carried = press.motion_mm[press.touches][:, :2].mean(axis=0)
     length = float(np.linalg.norm(carried))
@@ -145,7 +145,7 @@ def beside(motion_mm: Array, press: Press) -> Beside:
 
 
 def off(found: Array, press: Press, axes: slice) -> float:
-    """Root mean square difference of the free markers, mm."""
+    """Rms difference of the free markers, mm."""
     apart = (found - press.motion_mm)[press.free][:, axes]
     return float(np.sqrt((apart**2).sum(axis=1).mean()))
 
@@ -156,14 +156,14 @@ def rms(values: Iterable[float]) -> float:
 
 
 def best(frames: Sequence[Press], pitch_mm: float) -> tuple[Gel, float]:
-    """Find the layer whose free markers are nearest to the recorded ones, and how far they are off, mm rms."""
+    """Find the layer whose free markers are nearest to the recorded ones, and their rms difference, mm."""
     gels = [Gel(thickness, ratio) for thickness in _THICKNESSES_MM for ratio in _RATIOS]
     found = [rms(off(of_layer(p, gel, pitch_mm), p, slice(0, 3)) for p in frames) for gel in gels]
     return gels[int(np.argmin(found))], min(found)
 
 
 def fit(frames: Sequence[Press], pitch_mm: float) -> list[str]:
-    """Fit layer and membrane to the frames of a part; a row of the table after its name."""
+    """Fit layer and membrane to the frames of a part; returns a table row without the name."""
     gel, all_mm = best(frames, pitch_mm)
     heights = slice(2, 3)
 
@@ -187,7 +187,7 @@ def fit(frames: Sequence[Press], pitch_mm: float) -> list[str]:
 
 
 def figures(frames: Sequence[Press], pitch_mm: float) -> dict[str, list[str]]:
-    """Median figures of the gel beside the contact and of incompressible layers; of recorded ones the range, too."""
+    """Medians for the gel beside the contact and for incompressible layers; for recordings also the range."""
     groups = [[beside(p.motion_mm, p) for p in frames]]
     groups += [[beside(of_layer(p, Gel(t, 0.5), pitch_mm), p) for p in frames] for t in _SHOWN_MM]
 
@@ -216,7 +216,7 @@ def rows(recording: CloudRecording) -> tuple[list[list[str]], list[list[str]]]:
 
 
 def _episodes(recording: CloudRecording) -> dict[str, range]:
-    """Find the runs of touched frames, by the parts that they show."""
+    """Find the runs of frames with contact, by part."""
     touched = [bool(found) for found in touching(recording)]
     edges = np.flatnonzero(np.diff(np.concatenate(([0], np.asarray(touched, int), [0]))))
     runs = [range(int(a), int(b)) for a, b in edges.reshape(-1, 2) if b - a >= 8]

@@ -1,4 +1,4 @@
-"""What a result rests on: the build of the package, its inputs, and the machine."""
+"""Provenance of results: the build of the package, its inputs, and the machine."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _LIBRARIES = ("numpy", "opencv-contrib-python-headless", "scipy", "trimesh", "ma
 
 @cache
 def build_digest() -> str:
-    """SHA-256 over the files of the package, its compiled module with them, and of this one."""
+    """SHA-256 over the files of the package, including its compiled module, and of the benchmarks."""
     found = hashlib.sha256()
     for package in (gelstereo, gelstereo_bench):
         root = Path(package.__path__[0])
@@ -36,7 +36,7 @@ def digest_of(text: str) -> str:
 
 
 def machine() -> str:
-    """Processor, its cores and the system: what a report names as the machine."""
+    """Description of the machine for reports: processor, cores and system."""
     return f"{processor()}, {os.cpu_count()} cores, {platform.system()} {platform.machine()}"
 
 
@@ -52,7 +52,7 @@ def processor() -> str:
 
 
 def versions() -> dict[str, str]:
-    """Versions of Python, of the package, and of the libraries that results go through."""
+    """Versions of Python, of the package, and of the libraries that affect results."""
     found = {"gelstereo": gelstereo.__version__, "python": platform.python_version()}
     for name in _LIBRARIES:
         try:

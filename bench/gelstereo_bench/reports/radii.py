@@ -43,29 +43,29 @@ __all__ = [
 
 Array = npt.NDArray[np.float64]
 
-#: Share of the deepest marker from which markers are taken: the middle one is reported, the others say how much the
-#: choice matters. At the edge of a Hertzian contact it is 0.5.
+#: Indentation thresholds of the core, relative to the deepest marker. The middle one is reported; the others show its
+#: influence. At the edge of a Hertzian contact the ratio is 0.5.
 SHARES = (0.5, 0.6, 0.7)
 _MIN_CORE = 8
 _BLOCKS = 5
-#: Frames before and after an episode in which the gel still moves.
+#: Number of frames before and after an episode in which the gel still moves.
 _MARGIN = 6
-#: Markers at the lattice's edge that are left out of the noise.
+#: Width of the lattice's border that is excluded from the noise, markers.
 _EDGE = 2
 
 
 @dataclass(frozen=True)
 class Sharpened:
-    """A recording before and after its smoothing over time is undone."""
+    """A recording before and after undoing its smoothing over time."""
 
     smooth: CloudRecording
     sharp: CloudRecording
     window: int
-    #: Of one marker at rest (3,).
+    #: Noise of one marker at rest (3,).
     noise_mm: Array
-    #: Frames that no lost frame touches.
+    #: Frames unaffected by lost frames.
     whole: npt.NDArray[np.bool_]
-    #: Stretches (frames, markers, 3) in which nothing touches.
+    #: Stretches (frames, markers, 3) without contact.
     still_mm: list[Array]
 
 
@@ -74,24 +74,24 @@ class Measured:
     """One part's radius over its episode."""
 
     frames: list[int]
-    #: Of every frame, before and after the smoothing is undone.
+    #: Radius in every frame, before and after undoing the smoothing.
     smooth: list[RadiusFit]
     sharp: list[RadiusFit]
-    #: One radius through all frames.
+    #: One radius fitted to all frames.
     joint: RadiusFit
     #: Standard error of the joint radius by leaving out fifths of the episode.
     place_mm: float
-    #: Half of the range over the shares of the core.
+    #: Half of the range over the core's thresholds.
     share_mm: float
 
     @property
     def sigma_mm(self) -> float:
-        """Standard error of the joint radius, what is systematic included."""
+        """Standard error of the joint radius, including the systematic part."""
         return float(np.hypot(np.hypot(self.joint.sigma_mm, self.place_mm), self.share_mm))
 
 
 def sharpen(recording: CloudRecording, threshold_mm: float) -> Sharpened:
-    """Find the recorder's window by the noise while nothing touches, and undo it."""
+    """Estimate the recorder's averaging window from the noise without contact, and undo it."""
     touched = episodes(recording.indentation_mm(), threshold_mm)
     edges = [0, *(edge for run in touched for edge in (run.start, run.stop)), len(recording)]
     grid = np.arange(recording.rows * recording.cols).reshape(recording.rows, recording.cols)
@@ -117,7 +117,7 @@ def sharpen(recording: CloudRecording, threshold_mm: float) -> Sharpened:
 def cores_mm(
     recording: CloudRecording, episode: int, contact: int, together: int, share: float, threshold_mm: float
 ) -> dict[int, Array]:
-    """Markers of one contact at least so deep as a share of its deepest, for every frame of an episode."""
+    """Markers of one contact above a threshold relative to its deepest marker, for every frame of an episode."""
     indentation = recording.indentation_mm()
     found = {}
     for frame in episodes(indentation, threshold_mm)[episode]:
@@ -138,15 +138,15 @@ def measure_radii(
     place: tuple[int, int, int],
     threshold_mm: float,
 ) -> Measured:
-    """Fit a part's radius to every frame, and one to all of them.
+    """Fit a part's radius to every frame, and one radius to all frames.
 
     Parameters
     ----------
     place
-        Episode, contact in it (the deepest first), and how many contacts there are.
+        Episode, contact in it (the deepest first), and number of contacts.
     """
     whole = sharpened.whole
-    # The shares of x, y and z stay.
+    # The ratios of x, y and z are preserved.
     noise = sharpened.noise_mm * noise_gain(sharpened.window)
     joint, fifths = {}, {}
     cores: dict[float, dict[int, Array]] = {}
@@ -177,12 +177,12 @@ def measure_radii(
 
 
 def vendor_radii_mm(recording: CloudRecording, folder: Path, shape: str) -> dict[int, list[float]]:
-    """Radii that the wheel's own analysis finds, by frame; it is run as it is, without the wheel's windows.
+    """Radii from the wheel's own analysis, by frame; it runs unmodified, without the wheel's windows.
 
     Parameters
     ----------
     folder
-        The recording's, for the forces that the analysis takes contact from.
+        Folder of the recording, for the forces from which the analysis detects contact.
     """
     analyzer = _vendor_analyzer(folder.parents[2], recording.name)
     forces = np.load(folder / "3D_Forces.npy", allow_pickle=False).astype(np.float64)
@@ -198,7 +198,7 @@ def vendor_radii_mm(recording: CloudRecording, folder: Path, shape: str) -> dict
 
 
 def _vendor_analyzer(package: Path, serial: str) -> Any:
-    # Importing the package itself would open its windows' libraries.
+    # Importing the package itself would load its window libraries.
     shell = ModuleType("PyTac3D")
     shell.__path__ = [str(package)]
     before = sys.modules.get("PyTac3D")
@@ -243,7 +243,7 @@ def _range(radii: Array) -> str:
 def draw_radii(
     measured: Mapping[str, Measured], vendor: Mapping[str, Mapping[int, float]], path: Path
 ) -> None:
-    """Draw every frame's radius, the vendor's and the joint one with its error."""
+    """Plot every frame's radius, the vendor's radius, and the joint radius with its error."""
     with needs(__name__):
         import matplotlib
 

@@ -1,4 +1,4 @@
-"""Recordings of a real sensor: contacts, radii, templates registered to them, and how steady their poses are.
+"""Recordings of a real sensor: contacts, radii, registration of templates, and scatter of the poses.
 
 Run ``python -m gelstereo_bench.reports.recordings`` to fill docs/real-recordings.md and draw its pictures; it needs the
 recordings of the wheel pytac3d (``pip install --no-deps pytac3d==3.3.0.9``).
@@ -49,33 +49,33 @@ __all__ = ["PARTS", "Part", "Registered", "main", "measure_part", "register_part
 Array = npt.NDArray[np.float64]
 
 SALIENCY_MM = float(Params().to_dict()["contact"]["saliency_mm"])
-#: Fewer markers than this do not determine a radius.
+#: Minimum number of markers for a radius.
 _MIN_CORE = 8
-#: Frames of a still stretch.
+#: Number of frames in a stretch with little motion.
 _STILL = 8
 _METHOD = "filterreg_plane"
 
 
 @dataclass(frozen=True)
 class Part:
-    """Something that was pressed into the sensor of example_1."""
+    """A part that was pressed into the sensor in example_1."""
 
     name: str
-    #: Which run of touched frames, and which of its contacts, the deepest first.
+    #: Index of the run of frames with contact, and of the contact in it, the deepest first.
     episode: int
     contact: int
-    #: Radius of the template, mm; `None` where there is none.
+    #: Radius of the template, mm; `None` for a plane.
     radius_mm: float | None
     #: Directions that the contact cannot determine.
     free: int
 
     @property
     def together(self) -> int:
-        """Count the parts that are pressed at the same time."""
+        """Number of parts pressed at the same time."""
         return 1 + max(part.contact for part in PARTS if part.episode == self.episode)
 
     def template(self) -> Template:
-        """Make the template; nobody wrote down the part's dimensions, so its radius is the joint one."""
+        """Create the template. The part's dimensions are not documented, so its radius is the joint one."""
         if self.name == "plane":
             mesh = trimesh.creation.box((40.0, 40.0, 2.0))
         elif self.name == "cylinder":
@@ -85,7 +85,7 @@ class Part:
         return Template.from_mesh(mesh, units="mm", spacing_mm=0.25)
 
     def guess(self, points_mm: Array) -> Array:
-        """Guess a pose: the part lies on the patch, a cylinder along its longer side."""
+        """Initial guess: the part lies on the patch, a cylinder along the patch's longer side."""
         pose = np.eye(4)
         pose[:3, 3] = points_mm.mean(axis=0)
         pose[2, 3] += 1.0 if self.radius_mm is None else self.radius_mm  # the plane's template is 2 mm thick
@@ -113,13 +113,13 @@ class Registered:
     points_mm: Array
     depth_mm: float
     result: Localization
-    #: Root mean square distance of all points from the template, along its normals. It is worked out here because
-    #: `Localization.rmse_mm` weighs each point by how likely it touches, which hides those that do not.
+    #: Rms distance of all points from the template, along its normals. It is computed here because
+    #: `Localization.rmse_mm` weights each point by its contact probability, which hides points that do not touch.
     residual_mm: float
 
 
 def touching(recording: CloudRecording) -> list[list[Contact]]:
-    """Find the contacts of every frame."""
+    """Contacts of every frame."""
     return [
         contacts(indentation, recording.rows, recording.cols, SALIENCY_MM)
         for indentation in recording.indentation_mm()
@@ -134,10 +134,9 @@ def register_part(
     *,
     whole: npt.NDArray[np.bool_] | None = None,
 ) -> list[Registered]:
-    """Register a part's template to its episode, every so many frames.
+    """Register a part's template to its episode, in every nth frame.
 
-    Frames in which fewer than eight markers touch, in which the part is not there, or which are not ``whole``, are
-    left out.
+    Frames with fewer than eight markers in contact, without the part, or not ``whole``, are left out.
     """
     found = touching(recording)
     runs = episodes(recording.indentation_mm(), SALIENCY_MM)
@@ -164,13 +163,13 @@ def _residual_mm(points_mm: Array, template: Template, t_sensor_object: Array) -
 
 
 def measure_part(sharpened: Sharpened, part: Part) -> Measured:
-    """Measure a ball's or the cylinder's radius over its episode."""
+    """Radius of a ball or of the cylinder over its episode."""
     shape: Literal["sphere", "cylinder"] = "cylinder" if part.name == "cylinder" else "sphere"
     return measure_radii(sharpened, shape, (part.episode, part.contact, part.together), SALIENCY_MM)
 
 
 def steadiness(sharpened: Sharpened, part: Part) -> tuple[Steadiness, Steadiness, float]:
-    """Scatter of a part's pose by the noise at rest, and over its stillest frames; and the motion there, mm."""
+    """Scatter of a part's pose from the noise at rest, and over its frames with least motion; and that motion, mm."""
     recording = sharpened.smooth
     found = touching(recording)
     frames = [
@@ -230,7 +229,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _vendor(recording: CloudRecording, folder: Path) -> dict[str, dict[int, float]]:
-    """Give the vendor's radii of the parts, where it sees as many as there are."""
+    """The vendor's radii of the parts, in frames where it finds the right number of parts."""
     balls = {f: radii for f, radii in vendor_radii_mm(recording, folder, "sphere").items() if len(radii) == 2}
     cylinders = vendor_radii_mm(recording, folder, "cylinder")
     return {

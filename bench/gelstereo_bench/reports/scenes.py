@@ -1,7 +1,7 @@
 """The gallery of scenes: a picture, the plan and a digest of each.
 
 Run ``python -m gelstereo_bench.reports.scenes`` in the repository to fill docs/scenes.md and its pictures; ``--check``
-says which digests have moved and writes nothing.
+lists changed digests and writes nothing.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from gelstereo_bench.reports.markdown import replace_between, table
 
 __all__ = ["Exhibit", "digest", "draw", "main", "moments"]
 
-#: Which moments are shown: shares of the way from the first frame to the last.
+#: Moments shown, as fractions of the sequence from the first frame to the last.
 SHARES = (0.3, 0.6, 0.95)
 _WIDTH, _GAP, _HEAD = 384, 12, 30
 
 
 @dataclass(frozen=True)
 class Exhibit:
-    """A scene file made ready to run."""
+    """A loaded and planned scene file."""
 
     name: str
     simulator: Simulator
@@ -60,7 +60,7 @@ def digest(frames: Sequence[SimulatedFrame]) -> str:
 
 
 def draw(exhibit: Exhibit, frames: Sequence[SimulatedFrame]) -> npt.NDArray[np.uint8]:
-    """Draw the left images of some frames and, below, where the markers have gone and how high they stand."""
+    """Draw the left images of some frames and, below, the markers' lateral motion and height."""
     height, width = frames[0].left.shape
     tall = round(_WIDTH * height / width)
     canvas = Canvas(len(frames) * (_WIDTH + _GAP) + _GAP, _HEAD + 2 * (tall + _GAP) + 24)

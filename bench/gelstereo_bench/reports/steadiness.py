@@ -1,8 +1,8 @@
-"""How much a registered pose scatters by the noise of a recording, beside its predicted covariance.
+"""Scatter of registered poses due to a recording's noise, compared with the predicted covariance.
 
-Part of ``python -m gelstereo_bench.reports.recordings``. No part in the recording rests: it is moved by hand. So the
-noise of frames that nothing touches is put on a pressed frame; and in the stillest
-frames a parabola over time is taken out.
+Part of ``python -m gelstereo_bench.reports.recordings``. No part in the recording is at rest, because it is moved by
+hand. Therefore the noise of frames without contact is added to one pressed frame. In the frames with least motion a
+parabola over time is removed.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
 
 
-#: Fewer markers are no contact.
+#: Minimum number of markers of a contact.
 _MIN_MARKERS = 8
 
 
@@ -33,18 +33,18 @@ class Steadiness:
     """Scatter of the poses of one part."""
 
     frames: int
-    #: Root mean square over the determined directions, each over its predicted standard deviation.
+    #: Rms over the determined directions, each normalised by its predicted standard deviation.
     ratio: float
-    #: Standard deviation along z and of the tilts, and as predicted.
+    #: Standard deviation along z and of the tilts, measured and predicted.
     height_um: float
     height_predicted_um: float
 
 
 def rest_noise_mm(stretch_mm: Array, window: int) -> Array:
-    """Noise (frames, markers, 3) of a stretch that nothing touches, its creep taken out, at its full size."""
+    """Noise (frames, markers, 3) of a stretch without contact, with creep removed and variance corrected."""
     frames = len(stretch_mm)
     left = _without_parabola(stretch_mm)
-    # At a stretch's ends the parabola takes out more of the noise than in its middle.
+    # The parabola removes more of the noise at a stretch's ends than in its middle.
     kept = np.sqrt(np.diag(detrended_covariance(window, frames)))
     noise: Array = left / kept[:, None, None]
     return noise
@@ -58,7 +58,7 @@ def scatter_by_noise(
     sigma_mm: float,
     method: str,
 ) -> Steadiness:
-    """Register one pressed frame under noise (markers, 3) of so many others."""
+    """Register one pressed frame with the noise (markers, 3) of many others."""
     params = _params(method)
     found = [
         localize(points_mm + noise, template, t_sensor_object=guess, params=params) for noise in noise_mm
@@ -70,7 +70,7 @@ def scatter_by_noise(
 def scatter_over_time(
     points_mm: Array, template: Template, guess: Array, window: int, sigma_mm: float, method: str
 ) -> Steadiness:
-    """Register frames (frames, markers, 3) of a part that hardly moves; a parabola over time is taken out."""
+    """Register frames (frames, markers, 3) of a part that hardly moves; a parabola over time is removed."""
     params = _params(method)
     found = [localize(p, template, t_sensor_object=guess, params=params) for p in points_mm]
     centre = points_mm.mean(axis=(0, 1))
@@ -80,23 +80,23 @@ def scatter_over_time(
 
 
 def stillest(points_mm: Array, cores: Mapping[int, Indices], frames: int) -> tuple[Array, Indices, float]:
-    """Find the stretch of so many frames in which a contact's markers move least.
+    """Find the stretch of a given length in which a contact's markers move least.
 
     Parameters
     ----------
     points_mm
-        All markers (all frames, markers, 3).
+        All markers in all frames (frames, markers, 3).
     cores
-        Markers that touch, of every frame that may be taken.
+        Markers in contact, for every usable frame.
 
     Returns
     -------
     points_mm : (frames, core, 3)
-        Markers that touch throughout.
+        Points of the markers in contact throughout.
     core
-        Which they are.
+        Indices of these markers.
     motion_mm
-        Median motion from frame to frame, of the fastest pair of frames.
+        Largest of the median motions between consecutive frames.
     """
     best: tuple[Array, Indices, float] | None = None
     for first in cores:
@@ -116,8 +116,9 @@ def stillest(points_mm: Array, cores: Mapping[int, Indices], frames: int) -> tup
 
 
 def _params(method: str) -> Params:
-    # Steps small enough that where the iteration stops adds nothing to the scatter. The gel leaves the part by more
-    # than the noise: the default deviation of a point stays, and the information is scaled to the noise afterwards.
+    # A step tolerance small enough that convergence adds nothing to the scatter. The gel deviates from the part by more
+    # than the noise, so the default deviation of a point is kept, and the information is scaled to the noise
+    # afterwards.
     return Params().replace({"register.method": method, "register.advanced.step_tolerance": 1e-6})
 
 
@@ -132,7 +133,9 @@ def _twists(found: Sequence[Localization], centre_mm: Array) -> Array:
 def _steadiness(
     found: Sequence[Localization], left: Array, points_mm: Array, freedom: float, sigma_mm: float
 ) -> Steadiness:
-    """Compare twists about the points' centroid, and what they lost of their freedom, with the first information."""
+    """Compare twists about the points' centroid, corrected for lost degrees of freedom, with the first information
+    matrix.
+    """
     centre = points_mm.mean(axis=0)
     # A twist (ω, v) about the centroid is (ω, v - ω x centre) about the sensor.
     cross = np.array(

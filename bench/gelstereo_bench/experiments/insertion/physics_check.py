@@ -119,8 +119,8 @@ _ASKED = (
 )
 _CONDITIONS = (
     f"simulated (MuJoCo); directions drawn with standard deviations of {_TURN_RAD} rad and {_SHIFT_MM} mm; limits are "
-    f"looked for up to {_MAX_RATIO} times that of geometry, to {_MAX_RATIO / 2**_HALVINGS}; a part is in from {_IN_MM} mm above "
-    f"the bottom on; time step {1e3 * Hand().step_s} ms, force stop {Hand().force_stop_n} N, "
+    f"looked for up to {_MAX_RATIO} times that of geometry, to {_MAX_RATIO / 2**_HALVINGS}; a part is in from "
+    f"{_IN_MM} mm above the bottom on; time step {1e3 * Hand().step_s} ms, force stop {Hand().force_stop_n} N, "
     f"{Hand().stiffness_n_per_mm} N/mm"
 )
 
