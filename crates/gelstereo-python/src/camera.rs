@@ -373,12 +373,12 @@ impl Camera {
     /// Parameters
     /// ----------
     /// timeout_s : float, optional
-    ///     Longest time to wait; that of `open` unless given.
+    ///     Longest time to wait. Default: that of `open`.
     ///
     /// Returns
     /// -------
     /// CameraFrame
-    ///     Stale when nothing came in time, and when something happened in place of a new pair.
+    ///     Stale after a timeout, and for an event in place of a new pair.
     ///
     /// Raises
     /// ------
@@ -425,7 +425,7 @@ impl Camera {
     /// Raises
     /// ------
     /// CameraError
-    ///     If there is no such control or it cannot have this value, with what would be valid.
+    ///     If there is no such control, or it cannot have this value; the message states what is valid.
     #[pyo3(signature = (**controls))]
     fn set(&self, py: Python<'_>, controls: Option<&Bound<'_, PyDict>>) -> PyResult<()> {
         let Some(controls) = controls else { return Ok(()) };

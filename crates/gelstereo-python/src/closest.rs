@@ -164,16 +164,16 @@ impl Surface {
 /// -------
 /// triangles : (F, 3) int64
 /// stray : int
-///     How many faced the other way than most of those they hang together with.
+///     Number of triangles that faced the other way than most of their connected component.
 /// inside_out : bool
-///     Whether the whole was inside out.
+///     Whether the complete surface was inside out.
 /// surface : Surface
-///     What it is after turning.
+///     Properties after turning.
 ///
 /// Raises
 /// ------
 /// MeshError
-///     If they are no surface.
+///     If the triangles are not a surface.
 #[pyfunction]
 pub fn turned_outward(
     py: Python<'_>,
@@ -189,7 +189,7 @@ pub fn turned_outward(
     Ok((arrays::shaped(py, names, shape)?, turned.stray, turned.inside_out, surface))
 }
 
-/// An axis of symmetry: the part looks the same after a turn about it.
+/// An axis of rotational symmetry of a part.
 #[pyclass(frozen, module = "gelstereo")]
 pub struct Symmetry {
     inner: core::Symmetry,
@@ -214,11 +214,11 @@ impl Symmetry {
     /// Parameters
     /// ----------
     /// axis : (3,) array_like
-    ///     Its direction, of any length, object frame.
+    ///     Direction of any length, object frame.
     /// centre_mm : (3,) array_like
-    ///     One of its points, object frame.
+    ///     A point on the axis, object frame.
     /// order : int, optional
-    ///     After how many equal turns the part is back, 2 or more; any turn will do if left out.
+    ///     Number of equal turns in a full turn, 2 or more. Default: any angle is a symmetry.
     ///
     /// Raises
     /// ------

@@ -76,7 +76,7 @@ impl Markers {
 /// params : Params, optional
 ///     Its ``detect`` part is used.
 /// view : {"left", "right"}, optional
-///     Whose region of interest (``detect.roi``) is searched; without it the whole image is.
+///     View whose region of interest (``detect.roi``) is searched. Default: the whole image.
 #[pyclass(frozen, module = "gelstereo")]
 pub struct Detector {
     /// Boxed because its SIMD columns are aligned to 32 bytes, and Python aligns its objects to 16.
@@ -127,9 +127,9 @@ impl Detector {
     /// Raises
     /// ------
     /// ImageError
-    ///     If the array is no grey image.
+    ///     If the array is not a grey image.
     /// DetectError
-    ///     If the image shows nothing that could be measured.
+    ///     If the image shows nothing that can be measured.
     fn detect(&self, py: Python<'_>, image: &Bound<'_, PyAny>) -> PyResult<Markers> {
         let image = Image::new(image, "image")?;
         let view = image.view()?;
@@ -147,17 +147,17 @@ impl Detector {
     /// image : (H, W) uint8
     ///     Grey image, as in `detect`.
     /// expected_px : (N, 2)
-    ///     Where markers should be, pixels.
+    ///     Expected marker positions, pixels.
     /// reach_px : float
-    ///     A marker is found when all of it lies within so many pixels, in both axes; at most 31.
+    ///     Half width of the search window, pixels in both axes; at most 31. The whole marker must be inside.
     ///
     /// Returns
     /// -------
     /// markers : Markers
-    ///     Those found, with the bits that `detect` gives them.
+    ///     Markers found, bit for bit as from `detect`.
     /// sights : (N,) int64
-    ///     Which of `markers` each position has, each at most once; -1: no marker is there, -2: several
-    ///     are, -3: not decided (parts of markers, something else, or a window outside the image).
+    ///     Index into `markers` for each position, each at most once. -1: no marker; -2: several markers; -3:
+    ///     undecided (parts of markers, something else, or a window outside the image).
     ///
     /// Raises
     /// ------
@@ -189,7 +189,7 @@ impl Detector {
         Ok((Markers::new(py, found.markers)?, sights))
     }
 
-    /// Mask of the pixels that differ enough from their surround, by ``detect.threshold`` and
+    /// Mask of the pixels with sufficient contrast to the local background, by ``detect.threshold`` and
     /// ``detect.polarity``, before blobs are filtered by size and shape.
     ///
     /// Parameters

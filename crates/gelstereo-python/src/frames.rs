@@ -214,9 +214,9 @@ impl SensorMount {
 /// Parameters
 /// ----------
 /// t_base_goal : (4, 4) array_like
-///     Where the object shall be.
+///     Goal pose of the object.
 /// t_gripper_object : (4, 4) array_like
-///     Where it is in the hand.
+///     Pose of the object in the hand.
 ///
 /// Returns
 /// -------

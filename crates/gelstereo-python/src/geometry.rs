@@ -95,12 +95,12 @@ pub fn se3_log(py: Python<'_>, pose: &Bound<'_, PyAny>) -> PyResult<Array1<f64>>
 /// ----------
 /// source, target : (N, 3) array_like
 /// weights : (N,) array_like, optional
-///     Not negative; all equal if left out.
+///     Not negative. Default: all equal.
 ///
 /// Raises
 /// ------
 /// RegisterError
-///     If the points or weights have no rigid motion.
+///     If points and weights do not determine a rigid motion.
 #[pyfunction]
 #[pyo3(signature = (source, target, weights=None))]
 pub fn rigid_fit(
@@ -124,20 +124,20 @@ pub fn rigid_fit(
 /// Parameters
 /// ----------
 /// first, second : (4, 4) array_like
-///     Poses with the same frames, mm.
+///     Poses between the same frames, mm.
 /// first_information, second_information : (6, 6) array_like
-///     Information of a left perturbation (ωx ωy ωz vx vy vz), rad and mm, as a localization has it. It
-///     may be singular: along what one estimate leaves free, the other one alone counts.
+///     Information of a left perturbation (ωx ωy ωz vx vy vz), rad and mm, as a localization has it. It may
+///     be singular: along directions that one estimate does not determine, only the other one counts.
 ///
 /// Returns
 /// -------
 /// pose : (4, 4) float64
-///     The fused pose. Along what neither estimate knows it is the first one's.
+///     The fused pose; equal to the first along directions that neither estimate determines.
 /// information : (6, 6) float64
 ///     Of the fused pose.
 /// squared_distance : float
-///     How far the estimates contradict each other. Of two right ones that know all six directions it is
-///     distributed as chi-squared with six degrees of freedom.
+///     Squared Mahalanobis distance of the estimates. For two correct estimates that determine all six
+///     directions it is chi-squared distributed with six degrees of freedom.
 ///
 /// Raises
 /// ------
@@ -179,12 +179,12 @@ pub fn fuse_poses(
 /// Returns
 /// -------
 /// pose : (4, 4) float64
-///     The fused pose. Along what neither source knows it is the given one.
+///     The fused pose; equal to the given one along directions that neither source determines.
 /// information : (6, 6) float64
 ///     Of the fused pose.
 /// squared_distance : float
-///     How far the plane contradicts the estimate. If both are right, and the estimate knows the constrained
-///     direction, it is distributed as chi-squared with one degree of freedom.
+///     Squared Mahalanobis distance of plane and estimate. If both are correct, and the estimate determines
+///     the constrained direction, it is chi-squared distributed with one degree of freedom.
 ///
 /// Raises
 /// ------

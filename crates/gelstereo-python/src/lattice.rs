@@ -92,7 +92,7 @@ pub fn foresight_sort(
 /// Raises
 /// ------
 /// LabelError
-///     Saying what was found.
+///     With what was found.
 #[pyfunction]
 #[pyo3(signature = (detected_px, params=None))]
 pub fn rest_lattice(

@@ -28,7 +28,7 @@ use std::sync::{Mutex, PoisonError};
 /// Raises
 /// ------
 /// LayerError
-///     If a number makes no sense.
+///     If a number is out of range.
 #[pyclass(frozen, module = "gelstereo")]
 pub struct LayerContact {
     inner: Mutex<Contact>,
@@ -96,13 +96,14 @@ impl LayerContact {
     /// Parameters
     /// ----------
     /// heights_mm : (R, C) array_like
-    ///     The part above the undeformed surface, positive into the layer; -inf where there is none.
+    ///     Indentation of the part below the undeformed surface, positive into the layer; -inf where there is
+    ///     no part.
     /// carried_mm : (R, C, 2) array_like, optional
-    ///     How far the part would carry every cell along x and y if it stuck.
+    ///     Displacement of every cell along x and y if it stuck to the part.
     /// tolerance_mm : float
-    ///     How near to the part a cell that touches must end.
+    ///     Convergence tolerance: distance to the part of a cell in contact.
     /// warm : bool
-    ///     Start from the last solution.
+    ///     Whether to start from the last solution.
     #[pyo3(signature = (heights_mm, carried_mm=None, *, tolerance_mm=1e-6, warm=false))]
     fn press(
         &self,

@@ -74,7 +74,7 @@ impl Params {
     /// Raises
     /// ------
     /// ParamsError
-    ///     Naming the line, if a name is unknown or a value makes no sense.
+    ///     If a name is unknown or a value is not valid; the message names the line.
     #[classmethod]
     fn from_toml(_cls: &Bound<'_, PyType>, text: &str) -> PyResult<Self> {
         Self::checked(tree::from_toml(text).map_err(refused)?)
@@ -107,14 +107,14 @@ impl Params {
     /// ----------
     /// changes : mapping, optional
     ///     Nested (``{"detect": {"threshold_levels": 20}}``) or with dotted names
-    ///     (``{"detect.threshold_levels": 20}``). None takes a setting back to its default.
+    ///     (``{"detect.threshold_levels": 20}``). None resets a setting to its default.
     /// **settings
     ///     The same as keywords: ``detect={"threshold_levels": 20}``.
     ///
     /// Raises
     /// ------
     /// ParamsError
-    ///     If a name is unknown (the valid ones are listed) or a value makes no sense.
+    ///     If a name is unknown (the valid ones are listed) or a value is not valid.
     #[pyo3(signature = (changes=None, /, **settings))]
     fn replace(
         &self,
@@ -137,7 +137,7 @@ impl Params {
     }
 }
 
-/// The parser's message; a former name gets the present one beside it.
+/// The parser's message; for a former name, with the present name.
 fn refused(message: String) -> PyErr {
     let unknown = ["unknown field `", "unknown variant `"].into_iter();
     let name = unknown.filter_map(|words| message.split_once(words)?.1.split('`').next()).next();

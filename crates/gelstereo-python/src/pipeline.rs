@@ -195,7 +195,7 @@ impl Frame {
 /// Raises
 /// ------
 /// ParamsError, RigError
-///     If they make no sense.
+///     If rig or settings are not valid.
 #[pyclass(frozen, module = "gelstereo")]
 pub struct Pipeline {
     /// Boxed because its SIMD columns are aligned to 32 bytes, and Python aligns its objects to 16.
@@ -286,13 +286,13 @@ impl Pipeline {
     /// Parameters
     /// ----------
     /// record : RestRecord
-    ///     Of a pipeline with the same rig and the same settings of lattice, detection (but for
+    ///     Record of a pipeline with the same rig and the same settings of lattice, detection (except
     ///     ``detect.search``) and triangulation.
     ///
     /// Raises
     /// ------
     /// ContactError
-    ///     Naming what differs. The pipeline is then as before the call.
+    ///     If rig or settings differ; the message names the difference. The pipeline is then unchanged.
     fn resume(&self, py: Python<'_>, record: &Bound<'_, RestRecord>) -> PyResult<()> {
         let record = &record.get().inner;
         py.detach(|| self.lock().resume(record)).map_err(raise)
@@ -310,8 +310,8 @@ impl Pipeline {
     /// left, right : (H, W) uint8
     ///     Grey images of the rig's size; borrowed when contiguous, copied otherwise.
     /// threads : 1 or 2
-    ///     With 2, the markers of the right view are detected on a thread of their own; the result has
-    ///     the same bits.
+    ///     With 2, the markers of the right view are detected on a second thread; the result is
+    ///     bit-identical.
     ///
     /// Returns
     /// -------
@@ -320,9 +320,9 @@ impl Pipeline {
     /// Raises
     /// ------
     /// ImageError, DetectError, LabelError, TriangulateError, ContactError
-    ///     Naming stage and view. The tracks are then as before the call.
+    ///     If a stage fails; the message names stage and view. The tracks are then unchanged.
     /// ValueError
-    ///     Another number of threads.
+    ///     If the number of threads is not 1 or 2.
     #[pyo3(signature = (left, right, *, threads=1))]
     fn process(
         &self,

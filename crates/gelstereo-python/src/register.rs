@@ -256,20 +256,20 @@ const MAX_POINTS: usize = 20_000;
 ///     Points on the part's surface, sensor frame: `Frame.patch_points_mm`. At most 20000.
 /// template : Template
 /// t_sensor_object : (4, 4) array_like
-///     A guess: maps object coordinates to sensor coordinates.
+///     Initial guess; maps object coordinates to sensor coordinates.
 /// all_points_mm : (M, 3) array_like, optional
 ///     All markers' points, those of `points_mm` among them, bit for bit. The methods on the part's surface
 ///     (``register.method`` "surface_track", "surface_close", "surface_search"; they need a template of a
-///     mesh) use that the part is nowhere between the others and the camera; other methods do not look at
-///     them.
+///     mesh) use the fact that the part is not between the other markers and the camera. Other methods ignore
+///     these points.
 /// covariance_mm2 : (N, 3, 3) or (N, 9) array_like, optional
-///     Covariance of each of `points_mm`, for the same methods; without it ``register.point_sigma_mm``
-///     holds for all.
+///     Covariance of each of `points_mm`, for the same methods. Default: ``register.point_sigma_mm`` for all
+///     points.
 /// params : Params, optional
 ///     Its ``register`` part is used, and ``contact.decay_mm``.
 /// press_direction : (3,) array_like, optional
-///     The way from the part into the gel, sensor frame, of any length; toward the camera, (0, 0, -1), if
-///     left out. Only faces that look this way can be touched. The methods on the part's surface use it.
+///     Direction from the part into the gel, sensor frame, of any length. Default: towards the camera, (0, 0,
+///     -1). Only faces towards this direction can be in contact. Used by the methods on the part's surface.
 ///
 /// Returns
 /// -------
@@ -396,18 +396,17 @@ fn with_contact<T: Send>(
 /// around the last accepted pose and around the expected one. Free directions keep their values.
 ///
 /// Calls from several threads are serialised; the interpreter's lock is released meanwhile.
-/// Calls from several threads take turns; the interpreter is released meanwhile.
 ///
 /// Parameters
 /// ----------
 /// template : Template
 ///     Of a mesh.
 /// t_sensor_object : (4, 4) array_like
-///     Where the part is expected: maps object coordinates to sensor coordinates.
+///     Expected pose of the part; maps object coordinates to sensor coordinates.
 /// params : Params, optional
 ///     Its ``register`` part is used, and ``contact.decay_mm``.
 /// press_direction : (3,) array_like, optional
-///     As of `localize`.
+///     As in `localize`.
 ///
 /// Examples
 /// --------
@@ -489,12 +488,12 @@ impl Localizer {
     /// Returns
     /// -------
     /// Localization
-    ///     Its ``tracking`` says how the pose was come by.
+    ///     Its ``tracking`` states how the pose was found.
     ///
     /// Raises
     /// ------
     /// RegisterError
-    ///     If nothing can be registered, for one when nothing touches the gel; the last pose is kept.
+    ///     If nothing can be registered, for example without contact. The last pose is kept.
     #[pyo3(signature = (points_mm, *, all_points_mm=None, covariance_mm2=None))]
     fn process(
         &self,

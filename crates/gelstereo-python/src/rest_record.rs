@@ -78,7 +78,7 @@ impl RestRecord {
     /// Raises
     /// ------
     /// ContactError
-    ///     Naming the line, or the list that is damaged.
+    ///     If the text is not a record; the message names the line, or the damaged list.
     #[classmethod]
     fn from_toml(_cls: &Bound<'_, PyType>, text: &str) -> PyResult<Self> {
         Self::checked(tree::from_toml(text).map_err(ContactError::new_err)?)

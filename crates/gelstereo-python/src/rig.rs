@@ -54,7 +54,7 @@ impl Rig {
     /// f_px, baseline_mm : float
     ///     Focal length and distance of the cameras.
     /// c_px : (float, float), optional
-    ///     Principal point; the middle of the image if left out.
+    ///     Principal point. Default: the middle of the image.
     ///
     /// Raises
     /// ------
@@ -133,7 +133,7 @@ impl Rig {
     /// Raises
     /// ------
     /// RigError
-    ///     Naming the line, or what is wrong with the rig.
+    ///     If the text is not a rig; the message names the line or the error.
     #[classmethod]
     fn from_toml(_cls: &Bound<'_, PyType>, text: &str) -> PyResult<Self> {
         Self::checked(tree::from_toml(text).map_err(RigError::new_err)?)
@@ -210,12 +210,12 @@ impl Rig {
     /// Parameters
     /// ----------
     /// layers : mapping or None
-    ///     As `layers` gives them.
+    ///     In the form of `layers`.
     ///
     /// Raises
     /// ------
     /// RigError
-    ///     If the numbers describe no layers, or a camera stands within them.
+    ///     If the numbers are not valid layers, or a camera lies within them.
     ///
     /// Examples
     /// --------

@@ -20,14 +20,14 @@ type Cells = Py<PyArray3<f64>>;
 /// Parameters
 /// ----------
 /// rest_mm : (N, 2) array_like
-///     Places of rest in the gel's plane, sensor x and y: ``pipeline.rest.points_mm[:, :2]``.
+///     Rest positions in the gel's plane, sensor x and y: ``pipeline.rest.points_mm[:, :2]``.
 /// step_mm : float
 ///     Distance between cells.
 ///
 /// Raises
 /// ------
 /// MeshError
-///     If the markers have no mesh, or the step is no length or makes more than 4 194 304 cells.
+///     If the markers have no triangulation, or the step is not valid or gives more than 4 194 304 cells.
 #[pyclass(frozen, module = "gelstereo")]
 pub struct DenseSurface {
     inner: core::DenseSurface,
@@ -87,7 +87,7 @@ impl DenseSurface {
     /// Raises
     /// ------
     /// MeshError
-    ///     If there are not as many values as markers, or one is not finite.
+    ///     If the number of values differs from the number of markers, or a value is not finite.
     fn sample(&self, py: Python<'_>, values: &Bound<'_, PyAny>) -> PyResult<Matrix> {
         let values = Numbers::new(values, "values")?;
         let mut out = Vec::new();

@@ -38,17 +38,17 @@ impl Template {
     /// ----------
     /// mesh : path, trimesh.Trimesh or trimesh.PointCloud
     /// units : {"mm", "cm", "m", "inch"} or None
-    ///     Unit of the mesh; mesh files do not say. None for a STEP file, which does.
+    ///     Unit of the mesh, because mesh files do not state it. None for a STEP file, which does.
     /// spacing_mm : float
     ///     Distance of neighbouring points.
     /// seed : int
-    ///     Of the random stream that samples; the same seed gives the same points.
+    ///     Seed of the random sampling; the same seed gives the same points.
     ///
     /// Raises
     /// ------
     /// MeshError
-    ///     If the units are unknown, or absurd for a part in a hand (with a guess), or the triangles are
-    ///     no surface.
+    ///     If the units are unknown or implausible for a hand-held part (with a guess), or the triangles are
+    ///     not a surface.
     /// TemplateError
     ///     If it cannot be sampled at this spacing.
     #[classmethod]
@@ -78,12 +78,12 @@ impl Template {
     /// spacing_mm : float
     ///     Distance of neighbouring points.
     /// seed : int
-    ///     Of the random stream that samples.
+    ///     Seed of the random sampling.
     ///
     /// Raises
     /// ------
     /// MeshError, TemplateError
-    ///     If they are no surface, or cannot be sampled at this spacing.
+    ///     If the triangles are not a surface, or cannot be sampled at this spacing.
     #[classmethod]
     #[pyo3(signature = (vertices_mm, triangles, *, spacing_mm=core::Template::DEFAULT_SPACING_MM, seed=Count(1)), text_signature = "($cls, vertices_mm, triangles, *, spacing_mm=0.25, seed=1)")]
     fn from_triangles(
@@ -114,7 +114,7 @@ impl Template {
     /// Raises
     /// ------
     /// TemplateError
-    ///     If the points are no template.
+    ///     If the points are not a valid template.
     #[classmethod]
     fn from_points(
         cls: &Bound<'_, PyType>,
@@ -197,13 +197,13 @@ impl Template {
     /// points_mm : (N, 3) array_like
     ///     Object frame.
     /// facing : (N, 3) or (3,) array_like, optional
-    ///     Look among faces only whose outward normal has a positive product with this direction: on a
-    ///     thin plate the side that is touched.
+    ///     Only faces whose outward normal has a positive dot product with this direction are searched, for
+    ///     example the touched side of a thin plate.
     /// reach_mm : float, optional
-    ///     Farther than this nothing is found.
+    ///     Maximum distance of the search.
     /// near : (N,) array_like, optional
-    ///     Triangles of an earlier answer to points close by: the same answer, sooner. The triangle of
-    ///     the point before if left out.
+    ///     Initial guess: triangles of an earlier result for nearby points. It speeds up the search and does
+    ///     not change the result. Default: the previous point's triangle.
     ///
     /// Returns
     /// -------
@@ -212,7 +212,7 @@ impl Template {
     /// Raises
     /// ------
     /// TemplateError
-    ///     If the template was made of points and has no exact surface, or a number is not finite.
+    ///     If the template was created from points and has no exact surface, or a number is not finite.
     #[pyo3(signature = (points_mm, *, facing=None, reach_mm=None, near=None))]
     fn closest(
         &self,
@@ -247,14 +247,14 @@ impl Template {
     /// Parameters
     /// ----------
     /// cell_mm : float
-    ///     Width of a cell; it is made wider for a part that would take more than two million nodes.
+    ///     Width of a cell; it is increased for a part that would need more than two million nodes.
     /// reach_mm : float
-    ///     How far from the surface the grid goes: from 2 to 1000 cells.
+    ///     Extent of the grid from the surface: 2 to 1000 cells.
     ///
     /// Raises
     /// ------
     /// TemplateError
-    ///     If the template has no exact surface, or these numbers make no grid.
+    ///     If the template has no exact surface, or the numbers are not valid for a grid.
     #[pyo3(signature = (*, cell_mm=core::Template::DEFAULT_CELL_MM, reach_mm=core::Template::DEFAULT_REACH_MM), text_signature = "($self, *, cell_mm=0.4, reach_mm=4.0)")]
     fn with_grid(&self, py: Python<'_>, cell_mm: f64, reach_mm: f64) -> PyResult<Self> {
         self.solid()?;
@@ -280,13 +280,13 @@ impl Template {
     /// Returns
     /// -------
     /// distances_mm : (N,) float64
-    ///     NaN where the surface is out of the grid's reach, or beside a hole.
+    ///     NaN where the surface is beyond the grid's reach, or beside a hole.
     /// gradients : (N, 3) float64
     ///
     /// Raises
     /// ------
     /// TemplateError
-    ///     If there is no grid: the template was made of points.
+    ///     If there is no grid, because the template was created from points.
     fn grid_distance(&self, py: Python<'_>, points_mm: &Bound<'_, PyAny>) -> PyResult<(Array1<f64>, Matrix)> {
         let no_grid = || {
             TemplateError::new_err(
@@ -316,10 +316,10 @@ impl Template {
     /// Parameters
     /// ----------
     /// symmetries : sequence of Symmetry, optional
-    ///     Declared ones. If left out, they are looked for: axes through the area's centre such that
-    ///     after a turn every point of the template is within the tolerance of the surface.
+    ///     Declared symmetries. By default they are detected: axes through the area's centre for which, after
+    ///     a rotation, every point of the template is within the tolerance of the surface.
     /// tolerance_mm : float
-    ///     A round part is found to be round if its facets are finer than this.
+    ///     Tolerance of the detection; a round part is detected if its facets are finer than this.
     #[pyo3(signature = (symmetries=None, *, tolerance_mm=0.02))]
     fn with_symmetries(
         &self,
@@ -374,7 +374,7 @@ impl Template {
     /// Raises
     /// ------
     /// TemplateError
-    ///     If the file is no template, of another version, or damaged.
+    ///     If the file is not a template, has another version, or is damaged.
     #[classmethod]
     fn load(cls: &Bound<'_, PyType>, path: PathBuf) -> PyResult<Self> {
         let py = cls.py();

@@ -170,7 +170,7 @@ pub fn to_dict<'py, T: Serialize>(py: Python<'py>, value: &T) -> PyResult<Bound<
 /// Raises
 /// ------
 /// Error
-///     Naming the line that is no TOML.
+///     If the text is not TOML; the message names the line.
 #[pyfunction]
 pub fn parse_toml<'py>(py: Python<'py>, text: &str) -> PyResult<Bound<'py, PyDict>> {
     dict(py, &from_toml(text).map_err(crate::errors::Error::new_err)?)

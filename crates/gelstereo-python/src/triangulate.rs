@@ -31,12 +31,12 @@ fn even(sigma_px: f64) -> Symmetric<2> {
 /// ----------
 /// rig : Rig
 /// left_px, right_px : (N, 2) array_like
-///     The same markers in both images, as the cameras saw them (not rectified).
+///     The same markers in both images, in unrectified pixels.
 /// params : Params, optional
-///     Its ``triangulate`` part is used; both views of every marker count alike.
+///     Its ``triangulate`` part is used; both views have equal weight.
 /// rest_mm : (M, 3) array_like, optional
-///     The surface around which the polynomial is fitted; without it, and beyond its reach, points are
-///     those of rays.
+///     Surface around which the polynomial is fitted. Without it, and beyond its reach, points are computed
+///     from rays.
 ///
 /// Returns
 /// -------

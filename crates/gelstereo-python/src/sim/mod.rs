@@ -39,7 +39,7 @@ pub fn sights() -> std::collections::BTreeMap<&'static str, u8> {
 /// Raises
 /// ------
 /// SceneError, MeshError
-///     If the scene makes no sense or its mesh cannot be read.
+///     If the scene is not valid or its mesh cannot be read.
 #[pyclass(frozen, module = "gelstereo", sequence)]
 pub struct Simulator {
     stage: Mutex<sim::Simulator>,
@@ -122,13 +122,13 @@ impl Simulator {
     /// Parameters
     /// ----------
     /// t_sensor_object : (4, 4) array_like, optional
-    ///     The indenter's pose; nothing touches the gel if it is left out.
+    ///     The indenter's pose. Default: no contact.
     /// shear_mm : (float, float), optional
-    ///     How far the contact has dragged the surface along, sensor x and y.
+    ///     Displacement of the surface by the contact, sensor x and y.
     /// twist_rad : float
-    ///     How far it has turned the surface.
+    ///     Rotation of the surface by the contact.
     /// frame : int
-    ///     Keys the noise, and times the gel's motion and smears.
+    ///     Frame index, which seeds the noise and determines the time of the gel's motion and smears.
     #[pyo3(signature = (t_sensor_object=None, *, shear_mm=None, twist_rad=0.0, frame=Count(0)), text_signature = "($self, t_sensor_object=None, *, shear_mm=None, twist_rad=0.0, frame=0)")]
     fn press(
         slf: &Bound<'_, Self>,
@@ -159,18 +159,18 @@ impl Simulator {
     /// points_mm : (N, 3) array_like
     ///     Sensor frame, marker ``row * cols + col`` of the scene's gel at that index.
     /// frame : int
-    ///     Keys the noise, and times the smears.
+    ///     Frame index, which seeds the noise and determines the time of the smears.
     ///
     /// Returns
     /// -------
     /// SimulatedFrame
-    ///     Its indentation counts from the scene's flat surface; `in_contact` is false throughout, since
-    ///     nobody knows.
+    ///     Its indentation is relative to the scene's flat surface; `in_contact` is false throughout, because
+    ///     contact is unknown.
     ///
     /// Raises
     /// ------
     /// SceneError
-    ///     If there are more or fewer points than the gel has markers, or one is beyond 10 m.
+    ///     If the number of points differs from the gel's number of markers, or a point is farther than 10 m.
     #[pyo3(signature = (points_mm, *, frame=Count(0)), text_signature = "($self, points_mm, *, frame=0)")]
     fn render_points(
         slf: &Bound<'_, Self>,
@@ -223,9 +223,9 @@ impl Simulator {
 /// Parameters
 /// ----------
 /// shape : mapping
-///     As a scene's ``indenter``, for example ``{"kind": "sphere", "radius_mm": 4.0}``.
+///     In the form of a scene's ``indenter``, for example ``{"kind": "sphere", "radius_mm": 4.0}``.
 /// tolerance_mm : float
-///     How far the flat triangles may be from a curved surface.
+///     Maximum distance of the triangles from a curved surface.
 ///
 /// Returns
 /// -------
@@ -235,7 +235,7 @@ impl Simulator {
 /// Raises
 /// ------
 /// SceneError
-///     If it is no shape, or a mesh file, which `templates.load_mesh` reads.
+///     If it is not a shape, or is a mesh file; `templates.load_mesh` reads these.
 #[pyfunction]
 #[pyo3(signature = (shape, tolerance_mm=0.01))]
 pub fn shape_mesh(

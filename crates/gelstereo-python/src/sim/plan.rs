@@ -11,7 +11,6 @@ use std::path::PathBuf;
 /// Every effect has an upper bound on the change that it causes. Effects on auto are switched off in
 /// order of increasing bound, as long as the sum of their bounds stays within the tolerance of the
 /// requested result. The simulator then equals that of a scene without these effects.
-/// that of a scene which never had them.
 #[pyclass(frozen, module = "gelstereo")]
 pub struct Plan {
     inner: sim::Plan,

@@ -32,14 +32,14 @@ impl Scene {
         Self { inner: sim::Scene::default(), folder: PathBuf::new() }
     }
 
-    /// A sensor preset without effects and without contact, named by image size and markers along each
-    /// side. All see about 22 mm of gel at 28.7 mm. "640x480-25" is the default scene;
+    /// A sensor preset without effects and without contact, named by image size and markers along each side.
+    /// All have about 22 mm of gel in view at 28.7 mm. "640x480-25" is the default scene;
     /// "640x480-25-refraction" looks through air, acrylic and gel at a lattice of 15.6 mm.
     ///
     /// Raises
     /// ------
     /// SceneError
-    ///     If there is no preset of that name; the valid ones are listed.
+    ///     If there is no preset with that name; the valid ones are listed.
     #[classmethod]
     fn preset(_cls: &Bound<'_, PyType>, name: &str) -> PyResult<Self> {
         let inner = sim::Scene::preset(name).ok_or_else(|| {
@@ -60,7 +60,7 @@ impl Scene {
     /// Raises
     /// ------
     /// SceneError
-    ///     Naming the line, if a name is unknown or a value makes no sense.
+    ///     If a name is unknown or a value is not valid; the message names the line.
     #[classmethod]
     fn from_toml(cls: &Bound<'_, PyType>, text: &str) -> PyResult<Self> {
         Self::_from_file(cls, text, PathBuf::new())
@@ -94,7 +94,7 @@ impl Scene {
     /// Raises
     /// ------
     /// SceneError
-    ///     If a name is unknown (the valid ones are listed) or a value makes no sense.
+    ///     If a name is unknown (the valid ones are listed) or a value is not valid.
     #[pyo3(signature = (changes=None, /, **settings))]
     fn replace(
         &self,
