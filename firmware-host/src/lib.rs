@@ -5,6 +5,7 @@
 //!
 //! Without the feature `host` only the parts shared with the Python bindings are compiled: codecs,
 //! cameras and HID devices.
+#![cfg_attr(not(test), deny(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout))]
 
 pub mod camera;
 #[cfg(feature = "host")]

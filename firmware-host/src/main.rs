@@ -1,4 +1,5 @@
 //! `gelstereo-host`: see `gelstereo-host --help`.
+#![cfg_attr(not(test), deny(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout))]
 
 mod cli;
 

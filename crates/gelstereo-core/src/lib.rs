@@ -15,6 +15,7 @@
 //! the camera into the gel.
 #![no_std]
 #![forbid(unsafe_code)]
+#![cfg_attr(not(test), deny(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout))]
 
 extern crate alloc;
 

@@ -1,5 +1,6 @@
 //! Python bindings: thin conversions, no logic. One file per topic of the public surface.
 #![forbid(unsafe_code)]
+#![cfg_attr(not(test), deny(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout))]
 // The exported items are documented in Python's docstrings; `pub` here is for sibling files.
 #![allow(clippy::needless_pass_by_value)]
 

@@ -9,6 +9,7 @@
 //! stays at rest. [`effects`] add the behaviour of a real gel and a real camera.
 #![no_std]
 #![forbid(unsafe_code)]
+#![cfg_attr(not(test), deny(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout))]
 
 extern crate alloc;
 

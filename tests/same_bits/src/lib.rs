@@ -1,6 +1,7 @@
 //! Digests of what gelstereo computes, by name, for comparison between machines: `docs/same-bits.md`.
 #![no_std]
 #![forbid(unsafe_code)]
+#![cfg_attr(not(test), deny(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout))]
 
 extern crate alloc;
 
