@@ -5,7 +5,7 @@ use gelstereo_core::image::ImageError;
 use gelstereo_core::math::linalg::{Symmetric, eigen};
 use gelstereo_core::math::{DMat3, DQuat, DVec3, Pose, so3};
 use gelstereo_core::params::Params;
-use gelstereo_core::pipeline::{Frame, Pipeline, PipelineError, RestRecord, Touch};
+use gelstereo_core::pipeline::{Frame, Pipeline, PipelineError, PitchCheck, RestRecord, Touch};
 use gelstereo_core::register::{Localizer, RegisterError, Registrar, Registration, Template, TrackingStatus};
 use gelstereo_core::rig::Rig;
 use gelstereo_core::track::MarkerState;
@@ -143,6 +143,12 @@ impl Sensing {
     #[must_use]
     pub const fn tracking(&self) -> Option<TrackingStatus> {
         self.tracking
+    }
+
+    /// The print's pitch at rest beside its setting; `None` before the rest frame.
+    #[must_use]
+    pub fn pitch_check(&self) -> Option<PitchCheck> {
+        self.pipeline.pitch_check()
     }
 
     /// State with which a later run can start under contact; `None` before the rest frame.

@@ -87,7 +87,15 @@ fn report_of(text: &str) -> JobReport {
     JobReport {
         outcome: Outcome::NotLocalized { reason: text.to_owned() },
         why: text.to_owned(),
-        stages: vec![StageReport { stage, wall_s: 0.0, source_s: 0.0, frames: 0, bad_frames: 0, figures }],
+        stages: vec![StageReport {
+            stage,
+            wall_s: 0.0,
+            source_s: 0.0,
+            frames: 0,
+            bad_frames: 0,
+            figures,
+            warnings: vec![text.to_owned()],
+        }],
         localized: Some(Localized {
             t_sensor_object: rows,
             t_gripper_object: rows,

@@ -33,6 +33,7 @@ mod matched;
 mod math;
 mod mount;
 mod near;
+mod pitch;
 mod pose_fusion;
 mod pose_laws;
 mod refraction;

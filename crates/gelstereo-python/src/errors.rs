@@ -6,7 +6,7 @@
 use gelstereo_core as core;
 use pyo3::PyErr;
 use pyo3::create_exception;
-use pyo3::exceptions::{PyKeyboardInterrupt, PyValueError};
+use pyo3::exceptions::{PyKeyboardInterrupt, PyUserWarning, PyValueError};
 
 create_exception!(
     gelstereo,
@@ -40,6 +40,13 @@ exceptions! {
     LayerError: "There is no such layer of gel, or no such contact with it.",
     HidError: "A HID device is absent, refuses a command or does not answer.",
 }
+
+create_exception!(
+    gelstereo,
+    PitchWarning,
+    PyUserWarning,
+    "The print's pitch at rest differs from lattice.pitch_mm: the rig or a setting is wrong, and lengths with it."
+);
 
 /// Conversion of a stage's error to its Python exception.
 pub trait ToPython {

@@ -47,8 +47,8 @@ mod _native {
     #[pymodule_export]
     use crate::errors::{
         CameraError, ContactError, DetectError, Error, FrameError, GripperError, HidError, ImageError,
-        LabelError, LayerError, MeshError, ParamsError, PoseError, RegisterError, RigError, SceneError,
-        ShapeError, TemplateError, TriangulateError,
+        LabelError, LayerError, MeshError, ParamsError, PitchWarning, PoseError, RegisterError, RigError,
+        SceneError, ShapeError, TemplateError, TriangulateError,
     };
     #[pymodule_export]
     use crate::frames::{FingerKinematics, SensorMount, adjusted_gripper};
@@ -66,7 +66,7 @@ mod _native {
     #[pymodule_export]
     use crate::params::Params;
     #[pymodule_export]
-    use crate::pipeline::{Frame, Pipeline, ViewEvidence, marker_states};
+    use crate::pipeline::{Frame, Pipeline, PitchCheck, ViewEvidence, marker_states};
     #[pymodule_export]
     use crate::register::{FreeDirection, Localization, Localizer, localize};
     #[pymodule_export]

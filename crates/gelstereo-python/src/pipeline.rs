@@ -2,7 +2,7 @@
 
 use crate::arrays::{self, Array1, Image, Matrix};
 use crate::contact::{RestSurface, RuleName, rule_name};
-use crate::errors::raise;
+use crate::errors::{PitchWarning, raise};
 use crate::params::Params;
 use crate::pickle;
 use crate::rest_record::RestRecord;
@@ -205,6 +205,15 @@ pub struct Pipeline {
 }
 
 impl Pipeline {
+    /// Warns if the rest frame's pitch is off.
+    fn warn_of_pitch(&self, py: Python<'_>) -> PyResult<()> {
+        let Some(check) = py.detach(|| self.lock().pitch_check()).filter(core::PitchCheck::is_off) else {
+            return Ok(());
+        };
+        let message = std::ffi::CString::new(check.to_string())?;
+        PyErr::warn(py, &py.get_type::<PitchWarning>(), &message, 1)
+    }
+
     fn lock(&self) -> MutexGuard<'_, core::Pipeline> {
         self.stages.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -268,6 +277,12 @@ impl Pipeline {
         py.detach(|| self.lock().noise_scale())
     }
 
+    /// The print's pitch at rest beside ``lattice.pitch_mm``, as a `PitchCheck`; None before the rest frame.
+    #[getter]
+    fn pitch_check(&self, py: Python<'_>) -> Option<PitchCheck> {
+        py.detach(|| self.lock().pitch_check()).map(|inner| PitchCheck { inner })
+    }
+
     /// Clear tracks, rest surface and reference: the next frame is the rest frame.
     fn reset(&self, py: Python<'_>) {
         py.detach(|| self.lock().reset());
@@ -323,6 +338,11 @@ impl Pipeline {
     ///     If a stage fails; the message names stage and view. The tracks are then unchanged.
     /// ValueError
     ///     If the number of threads is not 1 or 2.
+    ///
+    /// Warns
+    /// -----
+    /// PitchWarning
+    ///     At a rest frame whose `pitch_check` is off.
     #[pyo3(signature = (left, right, *, threads=1))]
     fn process(
         &self,
@@ -348,7 +368,54 @@ impl Pipeline {
             };
             done.map(|()| out)
         });
-        Frame::new(py, frame.map_err(raise)?)
+        let frame = frame.map_err(raise)?;
+        if frame.index == 0 {
+            self.warn_of_pitch(py)?;
+        }
+        Frame::new(py, frame)
+    }
+}
+
+/// The print's pitch, triangulated at rest, beside ``lattice.pitch_mm``. ``str()`` explains a difference.
+#[pyclass(frozen, module = "gelstereo")]
+pub struct PitchCheck {
+    inner: core::PitchCheck,
+}
+
+#[pymethods]
+impl PitchCheck {
+    /// Median distance of neighbouring markers in a row at rest, mm.
+    #[getter]
+    const fn measured_mm(&self) -> f64 {
+        self.inner.measured_mm
+    }
+
+    /// Standard deviation of `measured_mm` from the scatter of the distances, mm.
+    #[getter]
+    const fn sigma_mm(&self) -> f64 {
+        self.inner.sigma_mm
+    }
+
+    /// ``lattice.pitch_mm``.
+    #[getter]
+    const fn expected_mm(&self) -> f64 {
+        self.inner.expected_mm
+    }
+
+    /// Whether both differ by more than five standard deviations and one per cent, which a print may be off.
+    #[getter]
+    fn is_off(&self) -> bool {
+        self.inner.is_off()
+    }
+
+    fn __str__(&self) -> String {
+        self.inner.to_string()
+    }
+
+    fn __repr__(&self) -> String {
+        let core::PitchCheck { measured_mm, sigma_mm, expected_mm } = self.inner;
+        let state = if self.inner.is_off() { "off" } else { "as expected" };
+        format!("<PitchCheck: {measured_mm:.4} ± {sigma_mm:.4} mm, expected {expected_mm} mm: {state}>")
     }
 }
 

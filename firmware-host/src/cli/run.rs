@@ -107,6 +107,9 @@ pub(super) fn stage_line(report: &StageReport) -> String {
     for figure in &report.figures {
         line += &format!("  {} {:.3}", figure.name, figure.value);
     }
+    for warning in &report.warnings {
+        line += &format!("\n  warning: {warning}");
+    }
     line
 }
 

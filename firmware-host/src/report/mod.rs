@@ -84,6 +84,9 @@ pub struct StageReport {
     pub bad_frames: u64,
     /// Results.
     pub figures: Vec<Figure>,
+    /// What does not stop the task but makes its results less reliable, with the likely causes.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub warnings: Vec<String>,
 }
 
 /// How a job ended, as far as the robot itself can determine.

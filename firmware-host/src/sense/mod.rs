@@ -28,6 +28,7 @@ use crate::recording::{Recording, Topic, messages};
 use crate::report::Stage;
 use crate::sensing::{self, Action, Sensing};
 use crate::source::{Next, SourceError, SourceEvent, StereoPair, monotonic_ns};
+use gelstereo_core::pipeline::PitchCheck;
 use gelstereo_core::register::{Registration, TrackingStatus};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -234,7 +235,9 @@ impl<'a> Sense<'a> {
                 self.is_restless = false;
                 let markers = frame.state.len();
                 self.keep_rest();
-                (self.say)(&Report::RestLearned { markers });
+                let pitch = self.parts.sensing.pitch_check().filter(PitchCheck::is_off);
+                let trouble = pitch.map(|pitch| pitch.to_string());
+                (self.say)(&Report::RestLearned { markers, trouble });
             }
             RestStep::Known => {}
         }

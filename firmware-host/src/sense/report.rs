@@ -128,6 +128,9 @@ pub enum Report {
     RestLearned {
         /// Number of lattice markers.
         markers: usize,
+        /// A pitch that differs from its setting, with the likely causes.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        trouble: Option<String>,
     },
     /// The rest state is being learned again.
     RestForgotten {
@@ -212,7 +215,10 @@ impl std::fmt::Display for Report {
                 write!(f, "sensing on {source}; results go to {}", outputs.join(", "))
             }
             Self::Source(event) => event.fmt(f),
-            Self::RestLearned { markers } => write!(f, "rest state learned: {markers} markers"),
+            Self::RestLearned { markers, trouble } => {
+                write!(f, "rest state learned: {markers} markers")?;
+                trouble.iter().try_for_each(|trouble| write!(f, "; WARNING: {trouble}"))
+            }
             Self::RestForgotten { reason } => write!(f, "the rest state is learned anew: {reason}"),
             Self::Touch { touching: true, .. } => write!(f, "contact begins"),
             Self::Touch { touching: false, .. } => write!(f, "contact ends"),

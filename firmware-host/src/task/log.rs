@@ -27,6 +27,8 @@ pub(super) struct Log<'a> {
     frames: u64,
     bad_frames: u64,
     stages: Vec<StageReport>,
+    /// Of the present stage.
+    warnings: Vec<String>,
 }
 
 impl<'a> Log<'a> {
@@ -44,6 +46,7 @@ impl<'a> Log<'a> {
             frames: 0,
             bad_frames: 0,
             stages: Vec::new(),
+            warnings: Vec::new(),
         }
     }
 
@@ -68,10 +71,16 @@ impl<'a> Log<'a> {
             frames: self.frames,
             bad_frames: self.bad_frames,
             figures,
+            warnings: std::mem::take(&mut self.warnings),
         };
         (self.progress)(&report);
         self.trace.end(&report);
         self.stages.push(report);
+    }
+
+    /// Adds a warning to the present stage's report.
+    pub(super) fn warn(&mut self, text: String) {
+        self.warnings.push(text);
     }
 
     /// Duration of the stage on the frame source's clock.

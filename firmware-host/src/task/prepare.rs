@@ -40,6 +40,12 @@ pub(super) fn rest(cell: &mut Cell) -> Result<(), Halt> {
     let frame = cell.sensing.frame();
     let seen = frame.state.iter().filter(|&&state| state == MarkerState::Seen).count();
     let mut figures = vec![figure("markers", frame.state.len() as f64), figure("seen", seen as f64)];
+    if let Some(pitch) = cell.sensing.pitch_check() {
+        figures.push(figure("pitch_mm", pitch.measured_mm));
+        if pitch.is_off() {
+            cell.log.warn(pitch.to_string());
+        }
+    }
     if let Some(noise) = noise {
         figures.extend([
             figure("noise_level_px", noise.level_px),

@@ -5,6 +5,7 @@ mod discs;
 mod epipolar;
 mod error;
 mod frame;
+mod pitch;
 mod rest_record;
 mod resume;
 mod view;
@@ -12,6 +13,7 @@ mod windows;
 
 pub use error::{PipelineError, View};
 pub use frame::{Frame, LabelSource, Searched, Touch, ViewEvidence};
+pub use pitch::PitchCheck;
 pub use rest_record::{RestRecord, RestRecordError, RestView};
 
 use crate::contact::{
@@ -146,6 +148,12 @@ impl Pipeline {
         self.epipolar.scale
     }
 
+    /// The print's pitch at rest beside its setting; `None` before the rest frame.
+    #[must_use]
+    pub fn pitch_check(&self) -> Option<PitchCheck> {
+        PitchCheck::new(self.rest.as_ref()?.points_mm(), self.left.cols, self.params.lattice.pitch_mm)
+    }
+
     /// Clears tracks, rest surface and reference: the next frame is the rest frame.
     pub fn reset(&mut self) {
         self.rest = None;
@@ -240,17 +248,12 @@ impl Pipeline {
         if !(median_px <= max_px) {
             return Err(PipelineError::Epipolar { median_px, max_px });
         }
-        let mut apart_mm: Vec<f64> = stereo
-            .chunks(self.left.cols.max(1))
-            .flat_map(|row| row.windows(2).map(|pair| pair[0].point_mm.distance(pair[1].point_mm)))
-            .collect();
-        let (found_mm, expected_mm) =
-            (crate::math::median(&mut apart_mm).unwrap_or(0.0), self.params.lattice.pitch_mm);
-        if !(found_mm >= expected_mm / PITCH_OFF && found_mm <= expected_mm * PITCH_OFF) {
-            return Err(PipelineError::Pitch { found_mm, expected_mm });
-        }
         self.points_mm.clear();
         self.points_mm.extend(stereo.iter().map(|s| s.point_mm));
+        let pitch = PitchCheck::new(&self.points_mm, self.left.cols, self.params.lattice.pitch_mm);
+        if let Some(pitch) = pitch.filter(PitchCheck::is_absurd) {
+            return Err(PipelineError::Pitch { found_mm: pitch.measured_mm, expected_mm: pitch.expected_mm });
+        }
         self.covariance_mm2.clear();
         let state = left.state.iter().zip(&right.state).map(|(&l, &r)| l.max(r));
         out.state.clear();
@@ -432,10 +435,6 @@ impl Pipeline {
 /// Relative accuracy from which a learned decay length is used, and relative change from which it is
 /// updated.
 const DECAY_KNOWN: f64 = 0.02;
-
-/// Largest ratio of measured and configured pitch, either way: a rig that ignores its layers stays below
-/// it.
-const PITCH_OFF: f64 = 2.0;
 
 fn centres(tracks: &Tracks) -> Centres<'_> {
     Centres { positions_px: &tracks.positions_px, covariance_px2: &tracks.covariance_px2 }

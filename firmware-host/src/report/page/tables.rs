@@ -73,6 +73,7 @@ fn figures(report: Option<&StageReport>) -> Markup {
     html! {
         @if let Some(report) = report {
             div class="figures" { @for figure in &report.figures { (named(figure.name, figure.value)) " " } }
+            @for warning in &report.warnings { p class="warning" { (warning) } }
         } @else {
             "did not complete"
         }
