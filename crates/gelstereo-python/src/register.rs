@@ -357,7 +357,7 @@ pub fn with_contact<T: Send>(
     let points = points.rows::<DVec3, 3>()?;
     if points.len() > MAX_POINTS {
         return Err(RegisterError::new_err(format!(
-            "there are {} points; valid is up to {MAX_POINTS}: hand over the contact patch alone, thinned to about \
+            "there are {} points; valid is up to {MAX_POINTS}: pass only the contact patch, thinned to about \
              the spacing of the template",
             points.len()
         )));
