@@ -223,7 +223,7 @@ def test_crash_of_the_search_names_the_image_and_is_survived(folder: Path) -> No
         assert worker is not None
         worker._process.kill()
         worker._process.wait()
-        with pytest.raises(calibrate.ImageError, match=r"ended while it was at work on .*left01\.png"):
+        with pytest.raises(calibrate.ImageError, match=r"ended while processing .*left01\.png"):
             finder.find(first, BOARD)
         assert finder.find(first, BOARD).corners_px is not None
 

@@ -215,7 +215,7 @@ def test_a_lone_image_is_named(folder: Path, capsys: pytest.CaptureFixture[str],
     for view in ("left", "right"):
         (tmp_path / view).mkdir()
     cv2.imwrite(str(tmp_path / "left" / "7.png"), np.zeros((4, 4), np.uint8))
-    assert "7.png stands in only one" in error_of(capsys, "view", tmp_path, "--output", folder / "x.png")
+    assert "7.png exists in only one" in error_of(capsys, "view", tmp_path, "--output", folder / "x.png")
 
 
 def test_ctrl_c_stops_without_a_traceback(

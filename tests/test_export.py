@@ -90,7 +90,7 @@ def test_what_cannot_be_exported_says_why_and_leaves_nothing(
     taken.mkdir()
     new = tmp_path / "new"
     assert "no MCAP file" in error(text, "--to", "lerobot", new)
-    assert "is there already" in error(recording, "--to", "lerobot", taken)
+    assert "exists; name a new folder" in error(recording, "--to", "lerobot", taken)
     assert "valid is lerobot" in error(recording, "--to", "zarr", new)
     assert "No such file" in error(tmp_path / "nowhere.mcap", "--to", "lerobot", new)
     assert error(recording, text, "--to", "lerobot", new)

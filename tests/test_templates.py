@@ -79,11 +79,11 @@ def test_files_that_are_no_mesh(tmp_path: Path, box: trimesh.Trimesh) -> None:
         # What trimesh takes for text it decodes with another package, if that is installed.
         ("cut.stl", cut, "(no triangles|another package)"),
         ("text.obj", b"hello", "(no triangles|another package)"),
-        ("cut.ply", b"ply\nformat", "cut short or damaged"),
+        ("cut.ply", b"ply\nformat", "truncated or damaged"),
         ("odd.xyz9", b"1 2 3", "xyz9"),
     ]:
         (tmp_path / name).write_bytes(content)
-        with pytest.raises(MeshError, match=rf"{name}.*{why}.*valid is a whole STL, OBJ, PLY"):
+        with pytest.raises(MeshError, match=rf"{name}.*{why}.*valid is a complete STL, OBJ, PLY"):
             Template.from_mesh(tmp_path / name, units="mm")
     assert len(Template.from_mesh(tmp_path / "box.stl", units="mm", spacing_mm=1.0)) > 1000
 
@@ -275,7 +275,7 @@ def test_a_step_file_says_its_unit(unit: str, mm: float, tmp_path: Path) -> None
         rtol=1e-6,
     )
     assert template.surface is not None and template.surface.is_closed
-    with pytest.raises(MeshError, match="a STEP file, which says its unit itself"):
+    with pytest.raises(MeshError, match="a STEP file, which states its unit"):
         Template.from_mesh(path, units="mm")
     (tmp_path / "no.step").write_text("nothing")
     with pytest.raises(MeshError, match="cannot be read as a triangle mesh"):

@@ -114,7 +114,7 @@ def test_without_a_task_each_frame_has_the_pose_of_its_own_time(tmp_path: Path) 
 
 def test_what_has_no_steps_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "text.mcap").write_text("no recording")
-    with pytest.raises(RecordingError, match="is no MCAP file"):
+    with pytest.raises(RecordingError, match="is not an MCAP file"):
         list(Steps(tmp_path / "text.mcap"))
     with pytest.raises(FileNotFoundError):
         list(Steps(tmp_path / "missing.mcap"))
@@ -188,7 +188,7 @@ def test_without_a_display_the_folder_is_named(
 
 def test_steps_are_those_of_recordings(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["view", str(tmp_path), "--steps", str(tmp_path / "out")]) == 2
-    assert "steps are those of a recording" in capsys.readouterr().err
+    assert "steps need a recording" in capsys.readouterr().err
 
 
 @given(st.integers(-1, 3_000_000), st.integers(1, 50), st.data())

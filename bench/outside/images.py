@@ -67,7 +67,7 @@ class Sequence:
 
     @property
     def half(self) -> str:
-        """`w`: for work. `j`: judged, and not tuned on."""
+        """`w`: for development. `j`: held out, and not tuned on."""
         return str(self.about["half"])
 
     def __len__(self) -> int:

@@ -87,8 +87,10 @@ impl std::fmt::Display for PartError {
             Self::Units { found } => {
                 write!(f, "part.shape.units is \"{found}\"; valid is \"mm\", \"cm\", \"m\" or \"in\"")
             }
-            Self::Kind { path } => write!(f, "{} is no mesh file; valid is .stl or .obj", path.display()),
-            Self::Decode { path, message } => write!(f, "{} is no intact mesh: {message}", path.display()),
+            Self::Kind { path } => write!(f, "{} is not a mesh file; valid is .stl or .obj", path.display()),
+            Self::Decode { path, message } => {
+                write!(f, "{} is not an intact mesh: {message}", path.display())
+            }
             Self::Scale { diagonal_mm, units, guess } => {
                 write!(
                     f,

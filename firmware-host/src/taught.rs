@@ -76,7 +76,7 @@ impl std::fmt::Display for TaughtError {
             Self::Parse { path, error } => {
                 write!(
                     f,
-                    "{} is no taught goal: {error}; make one with `gelstereo-host teach`",
+                    "{} is not a taught goal: {error}; make one with `gelstereo-host teach`",
                     path.display()
                 )
             }

@@ -62,7 +62,7 @@ fn bad_input_is_an_error_in_words_with_code_2() {
         (&["run", "--record", "."], "recording.path is \".\", which names no file"),
         (&["replay", "missing.mcap"], "cannot open missing.mcap: "),
         (&["replay", "."], "cannot be written or read: Is a directory"),
-        (&["replay", "unknown.toml"], "this is no intact MCAP recording: "),
+        (&["replay", "unknown.toml"], "this is not an intact MCAP recording: "),
         (&["replay", "file"], "the recording holds no config_toml"),
         (&["simulate", "missing.toml", "pairs"], "cannot read missing.toml: "),
         (&["simulate", "scene.toml", "file/pairs"], "cannot write file/pairs: "),

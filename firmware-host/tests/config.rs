@@ -121,10 +121,10 @@ fn a_mesh_needs_a_unit_that_makes_sense() {
     assert_eq!(unknown, "part.shape.units is \"millimetres\"; valid is \"mm\", \"cm\", \"m\" or \"in\"");
     let shape = Shape::Mesh { path: "part.step".to_owned(), units: "mm".to_owned() };
     let kind = Part::from_bytes(&shape, obj.clone()).unwrap_err().to_string();
-    assert_eq!(kind, "part.step is no mesh file; valid is .stl or .obj");
+    assert_eq!(kind, "part.step is not a mesh file; valid is .stl or .obj");
     let shape = Shape::Mesh { path: "part.stl".to_owned(), units: "m".to_owned() };
     let damaged = Part::from_bytes(&shape, obj).unwrap_err().to_string();
-    assert!(damaged.starts_with("part.stl is no intact mesh: "), "{damaged}");
+    assert!(damaged.starts_with("part.stl is not an intact mesh: "), "{damaged}");
 }
 
 #[test]

@@ -99,7 +99,7 @@ fn faults_of_a_folder_are_named() {
     grey(&at("right_2.png"), 9, 6, 0);
     assert!(message().contains("right_2.png is 9 x 6 pixels but the first image 8 x 6"), "{}", message());
     std::fs::write(at("right_2.png"), "no image").unwrap();
-    assert!(message().contains("right_2.png is no PNG, PGM or JPEG image that can be read"), "{}", message());
+    assert!(message().contains("right_2.png cannot be read as a PNG, PGM or JPEG image"), "{}", message());
     grey(&at("LEFT_1.pgm"), 8, 6, 0);
     assert!(message().contains("are images of the same view and number"), "{}", message());
 }

@@ -94,7 +94,7 @@ fn wrong_answers_are_errors_in_words() {
     let answers = [
         ("{\"id\":1,\"version\":2}", "speaks version 2 of the protocol; valid is 1"),
         ("{\"id\":1,\"error\":\"protective stop\"}", "robot: protective stop"),
-        ("hello", "is no answer of the bridge's protocol"),
+        ("hello", "is not an answer of the bridge's protocol"),
     ];
     std::thread::spawn(move || {
         for (answer, _) in answers {

@@ -7,7 +7,7 @@ point clouds, `localize` registers the part of the cloud that is in contact to t
 Units and frames are in the names. Lengths are millimetres, angles radians; ``_px`` is pixels with the centre of the
 first pixel at (0, 0). ``t_a_b`` is a (4, 4) matrix that maps coordinates of frame b to frame a. The sensor frame is the
 left camera's: x right, y down, z away from the camera. Indentation is positive towards the camera. Marker
-``row * cols + col`` stands at that index in every array.
+``row * cols + col`` has that index in every array.
 
 Every array that gelstereo returns is read-only; ``.copy()`` gives one that can be written to. Every error derives from
 `Error`, which is a ``ValueError``.

@@ -116,7 +116,7 @@ class _Device:
             raise HidError(f"there is no HID device {wanted}; HID devices found: {there}")
         if len(found) > 1:
             raise HidError(
-                f"several HID devices fit: {', '.join(map(str, found))}; give the serial number of one"
+                f"several HID devices match: {', '.join(map(str, found))}; give the serial number of one"
             )
         return cls(found[0])
 
@@ -213,7 +213,7 @@ class TaraControl(_Device):
             answer = request.decode(self._read(int(left_s * 1000) + 1))
             if answer is not None:
                 return answer
-        raise HidError(f"no answer within {request.timeout_s:.0f} s when the camera was to {request.name}")
+        raise HidError(f"the camera did not {request.name} within {request.timeout_s:.0f} s")
 
     def _read(self, timeout_ms: int) -> bytes:
         try:

@@ -32,7 +32,7 @@ MIN_PART_MM, MAX_PART_MM = 1.0, 1000.0
 _MIN_POINTS = 6
 
 #: File formats that can be read.
-_WHOLE = "a whole STL, OBJ, PLY, GLB or STEP file"
+_WHOLE = "a complete STL, OBJ, PLY, GLB or STEP file"
 
 #: File formats that state their unit.
 _STEP = {".step", ".stp"}
@@ -85,7 +85,7 @@ def _name(part: object, otherwise: str) -> str:
 def _checked_units(part: object, units: Units | None) -> Units:
     if Path(_name(part, "")).suffix.lower() in _STEP:
         if units is not None:
-            raise MeshError(f"units is {units!r}; valid for a STEP file, which says its unit itself, is None")
+            raise MeshError(f"units is {units!r}; valid for a STEP file, which states its unit, is None")
         return "m"
     if not isinstance(units, str) or units not in MM_PER_UNIT:
         valid = ", ".join(f"'{name}'" for name in MM_PER_UNIT)
@@ -256,11 +256,11 @@ def check_size(extents: npt.NDArray[np.float64], units: Units) -> None:
     hint = (
         f"; was it written in another unit? try units='{guesses[0]}'"
         if guesses
-        else "; no unit makes such a part of it: scale the mesh"
+        else "; no unit gives such a size: scale the mesh"
     )
     raise MeshError(
         f"the extents are {text} {units}; valid is a largest side of {MIN_PART_MM:g} to {MAX_PART_MM:g} mm, "
-        f"as a part in a hand has{hint}"
+        f"for a hand-held part{hint}"
     )
 
 
@@ -273,7 +273,9 @@ def _read(path: Path) -> _Loaded:
         return trimesh.load(path, force="mesh", process=False)
     except FileNotFoundError as error:
         # The file exists; the missing file is the intermediate one from the conversion of a STEP file.
-        raise MeshError(f"{path} cannot be read as a triangle mesh: it is no whole STEP file") from error
+        raise MeshError(
+            f"{path} cannot be read as a triangle mesh: it is not a complete STEP file"
+        ) from error
     except ImportError as error:
         # trimesh requests other packages for formats that it cannot read itself, and for invalid text.
         extra = "; pip install 'gelstereo[step]'" if path.suffix.lower() in _STEP else ""
@@ -284,6 +286,6 @@ def _read(path: Path) -> _Loaded:
         why = (
             str(error)
             if isinstance(error, (ValueError, NotImplementedError))
-            else "it is cut short or damaged"
+            else "it is truncated or damaged"
         )
         raise MeshError(f"{path} cannot be read as a triangle mesh: {why}; valid is {_WHOLE}") from error

@@ -104,12 +104,12 @@ impl Detector {
     }
 
     fn __repr__(&self) -> String {
-        let (least, most) = (self.params.min_area_px2, self.params.max_area_px2);
+        let (min_px2, max_px2) = (self.params.min_area_px2, self.params.max_area_px2);
         let dots = match self.params.polarity {
             Polarity::Dark => "dark",
             Polarity::Bright => "bright",
         };
-        format!("<Detector: {dots} dots of {least} to {most} px²>")
+        format!("<Detector: {dots} dots of {min_px2} to {max_px2} px²>")
     }
 
     /// Detect the markers of an image.

@@ -6,6 +6,7 @@
 
 mod arrays;
 mod camera;
+mod camera_info;
 mod closest;
 mod codec;
 mod contact;
@@ -17,6 +18,7 @@ mod gripper;
 mod interrupt;
 mod lattice;
 mod layer;
+mod localizer;
 mod params;
 mod pickle;
 mod pipeline;
@@ -35,7 +37,9 @@ use pyo3::prelude::*;
 #[pymodule]
 mod _native {
     #[pymodule_export]
-    use crate::camera::{Camera, CameraControl, CameraFrame, CameraInfo, decode_camera_frame, list_cameras};
+    use crate::camera::{Camera, CameraFrame, decode_camera_frame, list_cameras};
+    #[pymodule_export]
+    use crate::camera_info::{CameraControl, CameraInfo};
     #[pymodule_export]
     use crate::closest::{Closest, Surface, Symmetry, turned_outward};
     #[pymodule_export]
@@ -64,11 +68,13 @@ mod _native {
     #[pymodule_export]
     use crate::layer::{LayerContact, LayerSolution};
     #[pymodule_export]
+    use crate::localizer::Localizer;
+    #[pymodule_export]
     use crate::params::Params;
     #[pymodule_export]
     use crate::pipeline::{Frame, Pipeline, PitchCheck, ViewEvidence, marker_states};
     #[pymodule_export]
-    use crate::register::{FreeDirection, Localization, Localizer, localize};
+    use crate::register::{FreeDirection, Localization, localize};
     #[pymodule_export]
     use crate::rest_record::RestRecord;
     #[pymodule_export]

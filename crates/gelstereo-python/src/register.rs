@@ -13,7 +13,6 @@ use gelstereo_core::stop::Stop;
 use pyo3::prelude::*;
 use pyo3::types::{PyTuple, PyType};
 use std::cell::RefCell;
-use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// A free direction: a motion that the contact does not determine, in the object's frame. ``str()``
 /// describes it in words.
@@ -61,9 +60,9 @@ impl FreeDirection {
 // Arrays are created on access: creating all of them takes a tenth of the time of the fastest method.
 #[pyclass(frozen, module = "gelstereo")]
 pub struct Localization {
-    found: core::Registration,
-    tracking: Option<core::TrackingStatus>,
-    misfit: Option<f64>,
+    pub found: core::Registration,
+    pub tracking: Option<core::TrackingStatus>,
+    pub misfit: Option<f64>,
 }
 
 #[pymethods]
@@ -317,18 +316,19 @@ thread_local! {
 }
 
 /// Salient points, all points and covariances, as passed from Python.
-type Markers<'a, 'py> = (&'a Bound<'py, PyAny>, Option<&'a Bound<'py, PyAny>>, Option<&'a Bound<'py, PyAny>>);
+pub type Markers<'a, 'py> =
+    (&'a Bound<'py, PyAny>, Option<&'a Bound<'py, PyAny>>, Option<&'a Bound<'py, PyAny>>);
 
 /// Properties of the gel.
 #[derive(Clone, Copy)]
-struct Gel {
+pub struct Gel {
     decay_mm: f64,
     /// Unit vector from the part into the gel, sensor frame.
     press_direction: DVec3,
 }
 
 impl Gel {
-    fn new(
+    pub fn new(
         params: &gelstereo_core::params::Params,
         press_direction: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Self> {
@@ -346,7 +346,7 @@ impl Gel {
 }
 
 /// Runs work on a contact with the interpreter's lock released, until a signal stops it.
-fn with_contact<T: Send>(
+pub fn with_contact<T: Send>(
     py: Python<'_>,
     (points_mm, all_points_mm, covariance_mm2): Markers<'_, '_>,
     method: RegisterMethod,
@@ -357,7 +357,7 @@ fn with_contact<T: Send>(
     let points = points.rows::<DVec3, 3>()?;
     if points.len() > MAX_POINTS {
         return Err(RegisterError::new_err(format!(
-            "there are {} points; valid is up to {MAX_POINTS}: hand over the contact patch alone, thinned to about \
+            "there are {} points; valid is up to {MAX_POINTS}: pass only the contact patch, thinned to about \
              the spacing of the template",
             points.len()
         )));
@@ -381,138 +381,4 @@ fn with_contact<T: Send>(
         run(&contact, stop)
     })?
     .map_err(raise)
-}
-
-/// Localizes one part frame by frame: tracks it, detects that it is lost, and finds it again.
-///
-/// The pose is tracked from the previous frame on the part's exact surface. The ``register.method``
-/// "surface_search" also uses the gel model; "surface_track" first uses the grid of distances. Between
-/// frames the part is assumed to move by a tenth of ``register.start_sigma_deg`` and
-/// ``register.start_sigma_mm``.
-///
-/// If the gel model explained the contact in which the part was found, a pose is accepted while its
-/// `misfit` is as usual. Otherwise (not all markers given, or a gel that returns to rest within a pitch)
-/// it is accepted while its ``log_odds`` is above 0. If a pose is rejected, the part is searched for
-/// around the last accepted pose and around the expected one. Free directions keep their values.
-///
-/// Calls from several threads are serialised; the interpreter's lock is released meanwhile.
-///
-/// Parameters
-/// ----------
-/// template : Template
-///     Of a mesh.
-/// t_sensor_object : (4, 4) array_like
-///     Expected pose of the part; maps object coordinates to sensor coordinates.
-/// params : Params, optional
-///     Its ``register`` part is used, and ``contact.decay_mm``.
-/// press_direction : (3,) array_like, optional
-///     As in `localize`.
-///
-/// Examples
-/// --------
-/// ::
-///
-///     localizer = Localizer(template, t_sensor_object=guess)
-///     for left, right in camera:
-///         frame = pipeline.process(left, right)
-///         found = localizer.process(frame.patch_points_mm, all_points_mm=frame.points_mm)
-///         if found.tracking == "lost":
-///             ...
-#[pyclass(frozen, module = "gelstereo")]
-pub struct Localizer {
-    stage: Mutex<core::Localizer>,
-    gel: Gel,
-    template: Py<Template>,
-}
-
-impl Localizer {
-    fn lock(&self) -> MutexGuard<'_, core::Localizer> {
-        self.stage.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
-#[pymethods]
-impl Localizer {
-    #[new]
-    #[pyo3(signature = (template, *, t_sensor_object, params=None, press_direction=None))]
-    fn new(
-        template: Py<Template>,
-        t_sensor_object: &Bound<'_, PyAny>,
-        params: Option<&Bound<'_, Params>>,
-        press_direction: Option<&Bound<'_, PyAny>>,
-    ) -> PyResult<Self> {
-        let expected = arrays::pose(t_sensor_object, "t_sensor_object")?;
-        let params = Params::or_default(params);
-        let stage = core::Localizer::new(&params.register, &expected);
-        Ok(Self { stage: Mutex::new(stage), gel: Gel::new(&params, press_direction)?, template })
-    }
-
-    /// Template of the tracked part.
-    #[getter]
-    fn template(&self, py: Python<'_>) -> Py<Template> {
-        self.template.clone_ref(py)
-    }
-
-    /// (4, 4) the last accepted pose, or None.
-    #[getter]
-    fn t_sensor_object(&self, py: Python<'_>) -> PyResult<Option<Matrix>> {
-        let last = py.detach(|| self.lock().last().copied());
-        last.map(|pose| arrays::pose_matrix(py, &pose)).transpose()
-    }
-
-    fn __repr__(&self, py: Python<'_>) -> String {
-        let (held, points) = (py.detach(|| self.lock().last().is_some()), self.template.get().inner());
-        let points = points.points_mm().len();
-        format!("<Localizer: a part of {points} points, {}>", if held { "tracking" } else { "not found yet" })
-    }
-
-    /// Set a new expected pose: the gripper has released the part or grasped it again.
-    ///
-    /// Parameters
-    /// ----------
-    /// t_sensor_object : (4, 4) array_like
-    fn expect(&self, py: Python<'_>, t_sensor_object: &Bound<'_, PyAny>) -> PyResult<()> {
-        let expected = arrays::pose(t_sensor_object, "t_sensor_object")?;
-        py.detach(|| self.lock().expect(&expected));
-        Ok(())
-    }
-
-    /// Localize the part in the next frame; parameters as for `localize`.
-    ///
-    /// Parameters
-    /// ----------
-    /// points_mm : (N, 3) array_like
-    /// all_points_mm : (M, 3) array_like, optional
-    /// covariance_mm2 : (N, 3, 3) or (N, 9) array_like, optional
-    ///
-    /// Returns
-    /// -------
-    /// Localization
-    ///     Its ``tracking`` states how the pose was found.
-    ///
-    /// Raises
-    /// ------
-    /// RegisterError
-    ///     If nothing can be registered, for example without contact. The last pose is kept.
-    #[pyo3(signature = (points_mm, *, all_points_mm=None, covariance_mm2=None))]
-    fn process(
-        &self,
-        py: Python<'_>,
-        points_mm: &Bound<'_, PyAny>,
-        all_points_mm: Option<&Bound<'_, PyAny>>,
-        covariance_mm2: Option<&Bound<'_, PyAny>>,
-    ) -> PyResult<Localization> {
-        let template = self.template.get().inner();
-        let run =
-            |contact: &core::Contact<'_>, stop: Stop<'_>| self.lock().run_unless(contact, template, stop);
-        // A lost part is searched for.
-        let method = RegisterMethod::SurfaceSearch;
-        let markers = (points_mm, all_points_mm, covariance_mm2);
-        let located = with_contact(py, markers, method, self.gel, run)?;
-        Ok(Localization {
-            found: located.registration,
-            tracking: Some(located.tracking),
-            misfit: located.misfit.map(|misfit| misfit.mean),
-        })
-    }
 }

@@ -1,6 +1,6 @@
 //! What every effect costs: `cargo run --release -p gelstereo-sim --example effect_costs`.
 //!
-//! For each effect, alone on a default sensor under a ball that drags and twists the gel: the least time of a field
+//! For each effect, alone on a default sensor under a ball that drags and twists the gel: the shortest time of a field
 //! (all markers in space), of the same with both views of it, and of a stereo frame (the same, rendered) while it is
 //! on, while it is off, and in a scene that never had it; and what its cost model says.
 //!
@@ -33,33 +33,33 @@ fn scene(name: &str, switch: &str) -> Scene {
     }
 }
 
-/// Runs some frames; least times of the markers in both views and of a rendered frame, microseconds.
+/// Runs some frames; shortest times of the markers in both views and of a rendered frame, microseconds.
 fn least_us(scene: &Scene, frames: u64) -> [f64; 2] {
     let mut simulator = Simulator::new(scene, None).unwrap();
     let (mut truth, mut left, mut right) = (Truth::default(), Vec::new(), Vec::new());
     let contact = simulator.contact(0);
-    let mut least = [f64::INFINITY; 2];
+    let mut shortest = [f64::INFINITY; 2];
     for frame in 0..frames {
         let start = Instant::now();
         simulator.moment(contact.as_ref(), frame, &mut truth);
-        least[0] = least[0].min(1e6 * start.elapsed().as_secs_f64());
+        shortest[0] = shortest[0].min(1e6 * start.elapsed().as_secs_f64());
         simulator.render(&truth, frame, &mut left, &mut right);
-        least[1] = least[1].min(1e6 * start.elapsed().as_secs_f64());
+        shortest[1] = shortest[1].min(1e6 * start.elapsed().as_secs_f64());
     }
-    least
+    shortest
 }
 
 /// Least time of the markers in space alone, microseconds.
 fn least_field_us(scene: &Scene, frames: u64) -> f64 {
     let (mut simulator, mut truth) = (Simulator::new(scene, None).unwrap(), Truth::default());
     let contact = simulator.contact(0);
-    let mut least = f64::INFINITY;
+    let mut shortest = f64::INFINITY;
     for frame in 0..frames {
         let start = Instant::now();
         simulator.field(contact.as_ref(), frame, &mut truth);
-        least = least.min(1e6 * start.elapsed().as_secs_f64());
+        shortest = shortest.min(1e6 * start.elapsed().as_secs_f64());
     }
-    least
+    shortest
 }
 
 /// What the plan says of an effect's time, microseconds.

@@ -153,7 +153,7 @@ fn approximations() {
         for depth in [0.5, 1.0] {
             let exact = motion(layered(0.0), &shape, depth, 0.0);
             let exact_um = exact.iter().map(|u| 1e3 * u.z).fold(f64::INFINITY, f64::min);
-            let most = exact.iter().map(|u| 1e3 * u.truncate().length()).fold(0.0, f64::max);
+            let largest = exact.iter().map(|u| 1e3 * u.truncate().length()).fold(0.0, f64::max);
             let mut best = (f64::INFINITY, 0.0);
             for step in 1..=20 {
                 let decay_thicknesses = 0.05 * f64::from(step);
@@ -196,7 +196,7 @@ fn approximations() {
             };
             let off = rms(&motion(effects, &shape, depth, 0.0), &exact, |u| u.truncate().extend(0.0));
             println!(
-                "    sideways at most {most:5.1}; spread {off:5.1} off, best {:5.1} at strength {:.2} decay {:.2}",
+                "    sideways at most {largest:5.1}; spread {off:5.1} off, best {:5.1} at strength {:.2} decay {:.2}",
                 best.0, best.1, best.2
             );
         }

@@ -12,47 +12,47 @@ pub struct CameraConfig {
     /// `serial:` and the USB serial number, or a path such as `/dev/video0` or `/dev/v4l/by-id/..`.
     /// `gelstereo-host doctor` lists what is connected. Set it always: there is no default.
     pub device: String,
-    /// The right camera, named in the same way. Default: one stereo device. Set it where each view has its
-    /// own device.
+    /// The right camera, named in the same way. Default: one stereo device. Set it if each view has its own
+    /// device.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub right_device: Option<String>,
-    /// Where both views stand in the frames of one stereo device. Not used with two devices. Default:
-    /// `side_by_side`. Change it to your camera's; a swapped one shows as a rig that does not fit.
+    /// Arrangement of both views in the frames of one stereo device. Not used with two devices. Default:
+    /// `side_by_side`. Change it to your camera's; with swapped views the rig does not fit.
     pub layout: StereoLayout,
     /// Pixel format of the device. On USB 2 only `mjpg` reaches the full frame rate. Default: `mjpg`. Change
     /// it to what your camera offers.
     pub format: PixelFormat,
-    /// Width and height of the device's frames, as the driver counts them: side by side, both views. Valid: 1
-    /// to 8192 pixels. Default: `[1280, 480]` pixels. Change it to a size that your camera offers and that
-    /// the rig was calibrated at.
+    /// Width and height of the device's frames as reported by the driver; side by side, this includes both
+    /// views. Valid: 1 to 8192 pixels. Default: `[1280, 480]` pixels. Change it to a size that your camera
+    /// offers and that the rig was calibrated at.
     pub size_px: [u32; 2],
-    /// Frames in a second. Valid: 0.1 to 1000 Hz. Default: `30` Hz. Change it to a rate that your camera
-    /// offers at this size.
+    /// Frame rate. Valid: 0.1 to 1000 Hz. Default: `30` Hz. Change it to a rate that your camera offers at
+    /// this size.
     pub frame_rate_hz: f64,
-    /// Which frames are handed over. Default: `latest`. Change it to `every` where no frame may be passed
-    /// over.
+    /// Frames that are passed on. Default: `latest`. Change it to `every` where no frame may be skipped.
     pub mode: FrameMode,
-    /// Two devices' images farther apart in time are no pair; at most half a frame's period. Valid: 0.001 to
-    /// 5000 ms. Default: `5` ms. Raise it for devices without a common trigger; moving markers then lie
-    /// apart.
+    /// Largest time difference between the images of two devices that form a pair; at most half a frame
+    /// period. Valid: 0.001 to 5000 ms. Default: `5` ms. Raise it for devices without a common trigger; the
+    /// views of moving markers then differ.
     pub max_skew_ms: f64,
-    /// Frames that the driver can fill ahead. More bridge longer interruptions. Valid: 2 to 32 frames.
+    /// Number of buffers that the driver fills ahead. More buffers bridge longer interruptions. Valid: 2 to
+    /// 32 frames.
     /// Default: `4`. Raise it on a busy computer.
     pub buffers: u32,
-    /// Frames of each device that wait for the reader. Valid: 1 to 256 frames. Default: `8`. Raise it with
+    /// Number of frames per device queued for the reader. Valid: 1 to 256 frames. Default: `8`. Raise it with
     /// the mode `every`.
     pub queue_frames: u32,
-    /// A device that sends nothing for so long is started again; at least two frames' periods. Valid: 10 to
-    /// 3600000 ms. Default: `2000` ms. Raise it for cameras that pause, as triggered ones do.
+    /// Time without data after which a device is restarted; at least two frame periods. Valid: 10 to 3600000
+    /// ms. Default: `2000` ms. Raise it for cameras that pause, as triggered ones do.
     pub stall_timeout_ms: u64,
-    /// First pause before a lost device is tried again; each failure doubles it. Valid: 10 to 3600000 ms.
+    /// First pause before reopening a lost device; each failure doubles it. Valid: 10 to 3600000 ms.
     /// Default: `100` ms. Raise it for devices that need time to start.
     pub min_retry_ms: u64,
-    /// Longest such pause. Valid: 10 to 3600000 ms. Default: `5000` ms. Lower it where a camera must be back
-    /// soon.
+    /// Longest such pause. Valid: 10 to 3600000 ms. Default: `5000` ms. Lower it where a camera must be
+    /// available again soon.
     pub max_retry_ms: u64,
-    /// Whether JPEG images are handed over as the camera sent them too, for a recorder. Default: `true`. Set
-    /// it to false to save memory where nothing is recorded.
+    /// Whether the camera's JPEG data is also passed on, for a recorder. Default: `true`. Set it to false to
+    /// save memory where nothing is recorded.
     pub keep_encoded: bool,
     /// Exposure, gain, white balance and others. Default: the camera's own.
     pub controls: ControlSettings,

@@ -175,7 +175,7 @@ impl std::fmt::Display for CaptureError {
             ),
             Self::ControlValue { name, found, valid } => write!(f, "{name} is {found}; valid is {valid}"),
             Self::ControlRefused { name, value, answer } => {
-                write!(f, "the camera does not take {value} for {name}: {answer}")
+                write!(f, "the camera does not accept {value} for {name}: {answer}")
             }
             Self::Call { device, call, error } => {
                 write!(f, "camera {device}: {call}: {error}")?;
@@ -184,11 +184,9 @@ impl std::fmt::Display for CaptureError {
                 }
                 Ok(())
             }
-            Self::NoAnswer { device, waited } => write!(
-                f,
-                "camera {device} gave no answer within {:.1} s; unplug it and plug it in again",
-                waited.as_secs_f64()
-            ),
+            Self::NoAnswer { device, waited } => {
+                write!(f, "camera {device} did not answer within {:.1} s; reconnect it", waited.as_secs_f64())
+            }
             Self::Disconnected { device } => {
                 write!(f, "camera {device} is not connected; try again when it is back")
             }

@@ -127,8 +127,7 @@ fn tell_files(log: LogFormat, ended: &Ended) -> bool {
     for reason in &faults {
         log.say(&Report::OutputLost { output: "an output".to_owned(), reason: reason.clone() });
     }
-    faults.is_empty()
-        && ended.status.trouble.as_ref().is_none_or(|trouble| !trouble.contains("takes no more"))
+    faults.is_empty() && !ended.lost_output
 }
 
 impl PublishBy {

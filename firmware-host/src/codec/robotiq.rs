@@ -173,7 +173,7 @@ impl fmt::Display for Fault {
             0xD => "activation failed; check that the fingers can move, then activate again",
             0xE => "the motor current was too high; activate again",
             0xF => "the emergency release is complete; activate again",
-            number => return write!(f, "fault {number:#x}, to which the manual gives no meaning"),
+            number => return write!(f, "fault {number:#x}, which the manual does not list"),
         })
     }
 }

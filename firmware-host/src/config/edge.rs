@@ -1,42 +1,42 @@
-//! A face of the cell that a part in the hand may be brought to.
+//! A face of the cell that a part in the hand may touch.
 
 use super::ConfigError;
 use super::range::{FAR_MM, LENGTH_MM, SIGMA_MM, SPEED_MM_S, check};
 use gelstereo_core::math::DVec3;
 use serde::{Deserialize, Serialize};
 
-/// A flat face of a fixture whose place in the robot's base frame is known. The hand brings the part's
-/// side, or its end, slowly to it until the gel shows the contact.
+/// A flat face of a fixture with a known position in the robot's base frame. The hand slowly moves the part's
+/// side or end towards it until the gel shows the contact.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct EdgeConfig {
-    /// Middle of the face, base frame. The middle of the part's tip is brought before it: half of the
-    /// face's size touches the part, as far as it stands out of the fingers. Valid: -10000 to 10000 mm.
+    /// Middle of the face, base frame. The middle of the part's tip is moved in front of it, so up to half of
+    /// the face touches the part, as far as the part protrudes from the fingers. Valid: -10000 to 10000 mm.
     /// Change it to your cell's.
     pub point_mm: [f64; 3],
-    /// Direction out of the face, base frame, of any length. A face whose normal is horizontal is touched
-    /// by the part's sides, one whose normal is upright by its end. Valid: -1000000 to 1000000. Change it
+    /// Outward direction of the face, base frame, of any length. The part's sides touch faces with a
+    /// horizontal normal, its end touches faces with a vertical normal. Valid: -1000000 to 1000000. Change it
     /// to your cell's.
     pub normal: [f64; 3],
     /// Width and height of the face, larger than the side of the part that touches it. Valid: 0.001 to 1000
     /// mm. Default: `20` mm. Change it to your fixture's.
     #[serde(default = "default_size_mm")]
     pub size_mm: f64,
-    /// How well the face is known along its normal, one standard deviation. Valid: 0.0001 to 100 mm. Default:
-    /// `0.02` mm. Change it to how well the face was measured.
+    /// Standard deviation of the face's position along its normal. Valid: 0.0001 to 100 mm. Default: `0.02`
+    /// mm. Change it to how well the face was measured.
     #[serde(default = "default_sigma_mm")]
     pub sigma_mm: f64,
-    /// How well the robot knows its position between the face and the hole, one standard deviation. Valid:
-    /// 0.0001 to 100 mm. Default: `0.02` mm. Change it to your robot's repeatability.
+    /// Standard deviation of the robot's position between the face and the hole. Valid: 0.0001 to 100 mm.
+    /// Default: `0.02` mm. Change it to your robot's repeatability.
     #[serde(default = "default_sigma_mm")]
     pub robot_sigma_mm: f64,
-    /// The slow move begins this far from where the part is expected to touch, or farther if the part is
-    /// known to less; it ends as far behind. Valid: 0.001 to 1000 mm. Default: `2` mm. Raise it where the
+    /// Distance of the slow move's start from the expected contact, larger if the part is more uncertain. The
+    /// move ends at the same distance behind. Valid: 0.001 to 1000 mm. Default: `2` mm. Raise it where the
     /// part may be farther from where it is expected.
     #[serde(default = "default_approach_mm")]
     pub approach_mm: f64,
-    /// Speed of the slow move. Valid: 0.01 to 10000 mm/s. Default: `1` mm/s. Raise it to save time: the way
-    /// between two frames adds to what is not known of the part.
+    /// Speed of the slow move. Valid: 0.01 to 10000 mm/s. Default: `1` mm/s. Raise it to save time; the
+    /// travel between two frames adds to the part's uncertainty.
     #[serde(default = "default_speed_mm_s")]
     pub speed_mm_s: f64,
 }

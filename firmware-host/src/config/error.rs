@@ -37,9 +37,9 @@ pub enum ConfigError {
         /// What was found.
         found: String,
     },
-    /// A setting of the pipeline makes no sense.
+    /// A setting of the pipeline is not valid.
     Params(ParamsError),
-    /// A setting of the host makes no sense.
+    /// A setting of the host is not valid.
     Value {
         /// Where it stands.
         name: &'static str,
@@ -48,7 +48,7 @@ pub enum ConfigError {
         /// What would be valid.
         valid: &'static str,
     },
-    /// A number of a pose makes no sense.
+    /// A number of a pose is not valid.
     PoseValue {
         /// The pose, for example `task.part_pose`.
         pose: &'static str,
@@ -79,9 +79,9 @@ pub enum ConfigError {
         /// What to do.
         advice: &'static str,
     },
-    /// The mount makes no sense.
+    /// The mount is not valid.
     Mount(MountError),
-    /// The part or the simulated sensor makes no sense.
+    /// The part or the simulated sensor is not valid.
     Scene {
         /// Table of the configuration, `part.shape` or `simulated`.
         table: &'static str,
@@ -97,14 +97,14 @@ pub enum ConfigError {
         /// What to do.
         advice: &'static str,
     },
-    /// A setting of the camera makes no sense.
+    /// A setting of the camera is not valid.
     Camera(CaptureError),
     /// There is no rig, or there are two.
     RigSource {
         /// What to do.
         message: &'static str,
     },
-    /// The rig makes no sense.
+    /// The rig is not valid.
     Rig(RigError),
     /// The configuration cannot be written as TOML.
     Write(toml::ser::Error),

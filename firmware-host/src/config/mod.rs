@@ -37,7 +37,7 @@ use gelstereo_sim::{Gel, Scene, Shape};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-/// Everything that the host needs to know.
+/// All settings of the host.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
@@ -48,28 +48,28 @@ pub struct Config {
     /// folder. Default: none. Set it for real images, to what `gelstereo calibrate` wrote.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rig_file: Option<PathBuf>,
-    /// Where stereo pairs come from. Default: the simulated sensor.
+    /// Source of stereo pairs. Default: the simulated sensor.
     pub source: SourceConfig,
     /// The gripper. Default: the simulated one.
     pub gripper: GripperConfig,
     /// The robot. Default: the simulated one.
     pub robot: RobotConfig,
-    /// The light over the gel. Default: none.
+    /// Light of the gel. Default: none.
     pub light: LightConfig,
-    /// Settings of the camera that go by HID. Default: none.
+    /// Camera settings that are sent by HID. Default: none.
     pub camera_hid: CameraHidConfig,
     /// The part to be grasped.
     pub part: PartConfig,
     /// The job: grasp the part, find it in the hand, align it, insert it. The base frame has z upwards.
     pub task: TaskConfig,
-    /// Where the recording goes.
+    /// Recording of the run.
     pub recording: RecordingConfig,
     /// Sensing alone, without a robot.
     pub sense: SenseConfig,
     /// The simulated world behind simulated sensors, grippers and robots.
     pub simulated: SimulatedConfig,
-    /// Where the sensor stands in the gripper. Default: in the middle of a Robotiq 2F-85's pad, looking
-    /// across.
+    /// Pose of the sensor in the gripper. Default: in the middle of a Robotiq 2F-85's pad, facing the other
+    /// finger.
     pub mount: SensorMount,
     /// Settings of the pipeline and of registration.
     pub params: Params,
@@ -105,8 +105,8 @@ impl Default for Config {
     }
 }
 impl Config {
-    /// Reads a file and resolves what it refers to, so that [`Self::to_toml`] gives a configuration that stands alone
-    /// but for the part's mesh.
+    /// Reads a file and the files that it refers to. [`Self::to_toml`] then gives a self-contained
+    /// configuration, except for the part's mesh.
     ///
     /// # Errors
     /// [`ConfigError`].
@@ -143,13 +143,13 @@ impl Config {
         Ok(config)
     }
 
-    /// Reads a text; `origin` says in errors where it came from.
+    /// Reads a text; `origin` names its source in errors.
     ///
     /// # Errors
     /// [`ConfigError::Parse`] or [`ConfigError::Preset`].
     pub fn parse(text: &str, origin: &str) -> Result<Self, ConfigError> {
         let fail = |error| ConfigError::Parse { origin: origin.to_owned(), error };
-        // This pass finds errors and their lines; the next one lays the text's settings over the preset's.
+        // This pass finds errors and their lines; the next one merges the text's settings into the preset's.
         let mut config: Self = from_toml("Config", text, origin)?;
         let preset = Params::preset(&config.preset)
             .ok_or_else(|| ConfigError::Preset { found: config.preset.clone() })?;
@@ -208,7 +208,7 @@ impl Config {
         DVec3::from_array(self.task.insertion_axis).normalize_or_zero()
     }
 
-    /// Checks every setting against its meaning.
+    /// Checks the range of every setting and the consistency of settings.
     ///
     /// # Errors
     /// The first [`ConfigError`] found.
@@ -250,14 +250,14 @@ impl Config {
     }
 }
 
-/// Reads a text as the type of that name, whose keys the reference knows.
+/// Reads a text as the named type, whose keys are in the reference.
 fn from_toml<T: serde::de::DeserializeOwned>(name: &str, text: &str, origin: &str) -> Result<T, ConfigError> {
     reference::check_keys(text, name)
         .map_err(|unknown| ConfigError::Unknown { origin: origin.to_owned(), unknown })?;
     toml::from_str(text).map_err(|error| ConfigError::Parse { origin: origin.to_owned(), error })
 }
 
-/// Lays `over` over `base`, table by table.
+/// Merges `over` into `base`, table by table.
 fn overlay(base: &mut toml::Table, over: toml::Table) {
     for (key, value) in over {
         match (base.get_mut(&key), value) {

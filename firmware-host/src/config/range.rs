@@ -1,12 +1,13 @@
-//! What a number of the configuration may be. A number outside is in another unit, or would make the job wait for ever.
+//! Valid ranges of the configuration's numbers. A number outside is in another unit, or would make the job
+//! wait forever.
 
 use super::ConfigError;
 use gelstereo_core::rig::Rig;
 
-/// Farther than this no arm reaches: such a number is in another unit.
+/// No arm reaches farther; such a number is in another unit.
 pub(super) const FAR_MM: f64 = 1e4;
 pub(super) const FULL_TURN_RAD: f64 = 6.3;
-/// Below a tenth of a second no stage can end; within an hour every one does.
+/// No stage can end within a tenth of a second; every stage ends within an hour.
 pub(super) const STAGE_S: Range = Range { low: 0.1, high: 3600.0, words: "0.1 to 3600 s" };
 
 pub(super) fn check(
@@ -34,33 +35,33 @@ impl Range {
 
 pub(super) const LENGTH_MM: Range = Range { low: 1e-3, high: 1e3, words: "0.001 to 1000 mm" };
 pub(super) const SIGMA_MM: Range = Range { low: 1e-4, high: 100.0, words: "0.0001 to 100 mm" };
-/// Beyond half a turn a standard deviation says nothing more.
+/// A standard deviation beyond half a turn has no meaning.
 pub(super) const SIGMA_RAD: Range = Range { low: 1e-4, high: 3.2, words: "0.0001 to 3.2 rad" };
-/// A hole that is wider takes the part whatever its pose.
+/// A wider hole accepts the part at any pose.
 pub(super) const CLEARANCE_MM: Range = Range { low: 1e-3, high: 10.0, words: "0.001 to 10 mm" };
 pub(super) const SPACING_MM: Range = Range { low: 0.01, high: 100.0, words: "0.01 to 100 mm" };
 pub(super) const HOLE_MM: Range = Range { low: 0.1, high: 1e3, words: "0.1 to 1000 mm" };
 pub(super) const SPEED_MM_S: Range = Range { low: 0.01, high: 1e4, words: "0.01 to 10000 mm/s" };
 pub(super) const TIME_S: Range = Range { low: 1e-3, high: 3600.0, words: "0.001 to 3600 s" };
 pub(super) const PERIODS: Range = Range { low: 1.0, high: 1e3, words: "1 to 1000" };
-/// Below, noise alone would stop moves; see `task/noise.rs`.
+/// Below this, noise alone would stop moves; see `task/noise.rs`.
 pub(super) const SIGMAS: Range = Range { low: 7.3, high: 1e6, words: "7.3 to 1000000" };
 pub(super) const RATE_HZ: Range = Range { low: 0.1, high: 1e3, words: "0.1 to 1000 Hz" };
 
-/// TOML has no larger whole numbers.
+/// The largest integer in TOML.
 const MAX_SEED: u64 = i64::MAX as u64;
 
 pub(super) fn check_seed(name: &'static str, seed: u64) -> Result<(), ConfigError> {
     check(seed <= MAX_SEED, name, seed as f64, "0 to 9223372036854775807")
 }
 
-/// Widest and tallest image: none of the sensor's kind is larger, and buffers are made for it.
+/// Largest width and height of an image. No such sensor has larger ones, and buffers have this size.
 const MAX_SIDE_PX: usize = 8192;
 
-/// Cameras farther apart are no sensor.
+/// Largest baseline of a sensor.
 const MAX_BASELINE_MM: f64 = 1e3;
 
-/// What a sensor's rig may be, beyond what makes a rig.
+/// Limits of a sensor's rig, in addition to the checks of every rig.
 pub(super) fn check_rig(rig: &Rig) -> Result<(), ConfigError> {
     let sides = [
         ("rig.left.width_px", rig.left.width_px),

@@ -9,35 +9,36 @@ use std::path::PathBuf;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RecordingConfig {
-    /// MCAP file; it is replaced. Further parts of a long recording stand beside it: `run_0001.mcap` and so
-    /// on. Default: `out/run.mcap`. Change it for every run that is to be kept.
+    /// MCAP file; an existing file is replaced. Further parts of a long recording are in the same folder:
+    /// `run_0001.mcap` and so on. Default: `out/run.mcap`. Change it for every run that is to be kept.
     pub path: PathBuf,
-    /// How plain images are stored; Motion JPEG of a camera is stored as it came. Default: `png`. Change it
-    /// to `raw` where time matters more than space.
+    /// Format of plain images; a camera's Motion JPEG is stored unchanged. Default: `png`. Change it to `raw`
+    /// where time matters more than space.
     pub images: ImageFormat,
-    /// Images of every so many pairs are kept, results of all of them. Valid: 1 to 100000 pairs. Default:
-    /// `1`. Raise it to save space; only pairs with images can be computed again.
+    /// Images of every nth pair are recorded; results of all pairs are recorded. Valid: 1 to 100000 pairs.
+    /// Default: `1`. Raise it to save space; only pairs with images can be computed again.
     pub every_nth: u32,
-    /// What is kept. Default: `all`. Change it to `ring` where only moments around triggers matter.
+    /// Amount of data recorded. Default: `all`. Change it to `ring` where only moments around triggers
+    /// matter.
     pub mode: RecordingMode,
-    /// A file that has grown to this size is closed, and a new part begins. Valid: 1 to 1000000 MB. Default:
-    /// `1024` MB. Change it to what your tools and disks handle well.
+    /// Size at which a file is closed and a new part begins. Valid: 1 to 1000000 MB. Default: `1024` MB.
+    /// Change it to what your tools and disks handle well.
     pub split_mb: u32,
-    /// With the mode `ring`: the time before a trigger that is kept. Valid: 0.001 to 3600 s. Default: `60` s.
-    /// Raise it with `ring_mb`.
+    /// With the mode `ring`: time recorded before a trigger. Valid: 0.001 to 3600 s. Default: `60` s. Raise
+    /// it with `ring_mb`.
     pub ring_s: f64,
-    /// With the mode `ring`: memory for that time; the oldest messages are forgotten beyond it. Valid: 1 to
+    /// With the mode `ring`: memory for that time; beyond it the oldest messages are dropped. Valid: 1 to
     /// 100000 MB. Default: `512` MB. Change it to the memory that can be spared.
     pub ring_mb: u32,
-    /// With the mode `ring`: the time after a trigger that is kept. Valid: 0.001 to 3600 s. Default: `5` s.
-    /// Raise it where what follows a trigger matters.
+    /// With the mode `ring`: time recorded after a trigger. Valid: 0.001 to 3600 s. Default: `5` s. Raise it
+    /// where what follows a trigger matters.
     pub ring_after_s: f64,
-    /// Whether `run` writes a page about the run beside the recording: `run.html` beside `run.mcap`. Valid:
-    /// `true` or `false`. Default: `true`. Change it to `false` where nobody reads pages, to save about 2 MB.
+    /// Whether `run` writes a report next to the recording, such as `run.html` for `run.mcap`. Valid: `true`
+    /// or `false`. Default: `true`. Change it to `false` where nobody reads pages, to save about 2 MB.
     pub report: bool,
 }
 
-/// How plain images are stored. Every format is lossless.
+/// Format of plain images. Every format is lossless.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ImageFormat {
@@ -48,7 +49,7 @@ pub enum ImageFormat {
     Raw,
 }
 
-/// What a recording keeps.
+/// Amount of data in a recording.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RecordingMode {

@@ -6,7 +6,7 @@ use crate::robot::{BridgeRobot, Robot, RobotError};
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
 
-/// Which robot, and where it is connected.
+/// Kind of robot, and its connection.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", tag = "kind", deny_unknown_fields)]
 pub enum RobotConfig {
@@ -17,12 +17,11 @@ pub enum RobotConfig {
     Bridge {
         /// `host:port` of the program that drives the robot. Set it to yours.
         address: String,
-        /// How long an answer may take. Valid: 1 to 60000 ms. Default: `500` ms. Raise it for a slow
-        /// controller.
+        /// Time limit of an answer. Valid: 1 to 60000 ms. Default: `500` ms. Raise it for a slow controller.
         #[serde(default = "timeout_ms")]
         timeout_ms: f64,
-        /// The robot stops by itself when it hears nothing for this long, which is not less than
-        /// `timeout_ms`. Valid: 1 to 60000 ms. Default: `1000` ms. Lower it where the robot must stop sooner.
+        /// Time without a request after which the robot stops by itself; at least `timeout_ms`. Valid: 1 to
+        /// 60000 ms. Default: `1000` ms. Lower it where the robot must stop sooner.
         #[serde(default = "watchdog_ms")]
         watchdog_ms: f64,
     },
@@ -47,7 +46,7 @@ impl RobotConfig {
         check(watchdog_ms >= timeout_ms, "robot.watchdog_ms", *watchdog_ms, "robot.timeout_ms or more")
     }
 
-    /// Where a real robot is connected.
+    /// Connection of a real robot.
     #[must_use]
     pub fn address(&self) -> Option<&str> {
         match self {

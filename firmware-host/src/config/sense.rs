@@ -1,4 +1,4 @@
-//! Sensing alone: rest, contact, localization, and who may listen.
+//! Sensing alone: rest, contact, localization, and publishing.
 
 use super::range::{TIME_S, check};
 use super::{ConfigError, PoseConfig};
@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 pub enum LocalizeWhen {
     /// Never.
     Never,
-    /// As soon as something touches the gel, and in every frame while it does.
+    /// In every frame with contact.
     #[default]
     Contact,
 }
@@ -20,31 +20,32 @@ pub enum LocalizeWhen {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SenseConfig {
-    /// When the part is localized. Default: `contact`. Change it to `never` where only contact matters.
+    /// Condition for localizing the part. Default: `contact`. Change it to `never` where only contact
+    /// matters.
     pub localize: LocalizeWhen,
-    /// Where the part is expected in the sensor frame once it touches. Default: none, it is where the task
-    /// expects it with the fingers `grasp_width_mm` apart. Set it where no gripper holds the sensor.
+    /// Expected pose of the part in the sensor frame at contact. Default: none; the task's expected pose with
+    /// the fingers `grasp_width_mm` apart. Set it where no gripper holds the sensor.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub t_sensor_object: Option<PoseConfig>,
-    /// Opening of the gripper when it holds the part, within what `mount.kinematics` can have. Valid: 0 to
+    /// Opening of the gripper when it holds the part, within the range of `mount.kinematics`. Valid: 0 to
     /// 1000 mm. Default: `8` mm, the diameter of the default part. Change it to your part's width.
     pub grasp_width_mm: f64,
-    /// After the part was lost, or could not be localized, it is searched again this long after. A search
-    /// takes many times as long as following does. Valid: 0 to 3600 s. Default: `0.5` s. Lower it on a fast
-    /// computer.
+    /// Pause before searching again for a part that was lost or not localized. A search takes many times as
+    /// long as tracking. Valid: 0 to 3600 s. Default: `0.5` s. Lower it on a fast computer.
     pub search_pause_s: f64,
-    /// Good frames in a row without contact that make the rest state. More guard better against a gel that
-    /// still moves. Valid: 1 to 10000 frames. Default: `5`. Raise it for a gel that creeps.
+    /// Number of consecutive good frames without contact that define the rest state. More frames protect
+    /// against a gel that still moves. Valid: 1 to 10000 frames. Default: `5`. Raise it for a gel that
+    /// creeps.
     pub rest_frames: u32,
-    /// Markers that moved farther than this on average within these frames show that the gel is not at rest.
-    /// Valid: 0.000001 to 100 px. Default: `0.5` px. Raise it where the sensor vibrates.
+    /// Largest mean motion of the markers within these frames for a gel at rest. Valid: 0.000001 to 100 px.
+    /// Default: `0.5` px. Raise it where the sensor vibrates.
     pub max_rest_motion_px: f64,
-    /// Salient markers from which something touches the gel. One may be noise; a sphere of 2 mm covers about
-    /// ten. Valid: 1 to 100000 markers. Default: `3`. Lower it for small parts, raise it where noise passes
-    /// for contact.
+    /// Minimum number of salient markers for a contact. One may be noise; a sphere of 2 mm covers about ten.
+    /// Valid: 1 to 100000 markers. Default: `3`. Lower it for small parts, raise it where noise passes for
+    /// contact.
     pub min_salient: u32,
-    /// Without a good frame for so long, sensing counts as unhealthy. Valid: 0.001 to 3600 s. Default: `5` s.
-    /// Change it to what your cell can wait for.
+    /// Time without a good frame after which sensing is unhealthy. Valid: 0.001 to 3600 s. Default: `5` s.
+    /// Change it to what your cell tolerates.
     pub max_silence_s: f64,
     /// ROS 2 over zenoh, for `--publish zenoh`.
     pub zenoh: ZenohConfig,
@@ -84,10 +85,11 @@ pub enum TypeHash {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ZenohConfig {
-    /// Routers and peers to connect to; tried again until they answer. Default: `["tcp/127.0.0.1:7447"]`, a
-    /// router of `rmw_zenoh` on this computer. Change it to your router's address.
+    /// Routers and peers to connect to; connections are retried until they succeed. Default:
+    /// `["tcp/127.0.0.1:7447"]`, a router of `rmw_zenoh` on this computer. Change it to your router's
+    /// address.
     pub connect: Vec<String>,
-    /// Where to listen. Another address than 127.0.0.1 lets other computers in. Default:
+    /// Addresses to listen on. Addresses other than 127.0.0.1 admit other computers. Default:
     /// `["tcp/127.0.0.1:0"]`, any free port. Change it only in a network that you trust.
     pub listen: Vec<String>,
     /// Whether to look for peers on the network by multicast. Default: `false`. Set it only in a network that
@@ -96,10 +98,10 @@ pub struct ZenohConfig {
     /// `ROS_DOMAIN_ID` of the listeners. Valid: 0 to 232. Default: `0`. Change it to that of your ROS 2
     /// nodes.
     pub domain_id: u32,
-    /// How messages' types are named. Default: `rihs01`. Change it to `not_supported` for ROS 2 Humble.
+    /// Naming of message types. Default: `rihs01`. Change it to `not_supported` for ROS 2 Humble.
     pub type_hash: TypeHash,
-    /// Whether images are published too: 18 MB/s at 640 x 480 and 30 Hz. Default: `false`. Set it where
-    /// somebody looks at them.
+    /// Whether images are published too: 18 MB/s at 640 x 480 and 30 Hz. Default: `false`. Set it if images
+    /// are viewed.
     pub images: bool,
 }
 
@@ -120,11 +122,11 @@ impl Default for ZenohConfig {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct FoxgloveConfig {
-    /// Address to listen on. Another one than 127.0.0.1 lets other computers in. Default: `127.0.0.1`. Change
-    /// it only in a network that you trust.
+    /// Address to listen on. Addresses other than 127.0.0.1 admit other computers. Default: `127.0.0.1`.
+    /// Change it only in a network that you trust.
     pub host: String,
-    /// Port to listen on. With 0 the system chooses, and the log says which. Valid: 0 to 65535. Default:
-    /// `8765`. Change it where another program has it.
+    /// Port to listen on. With 0 the system chooses a port, which is logged. Valid: 0 to 65535. Default:
+    /// `8765`. Change it if another program uses it.
     pub port: u16,
     /// Whether images are published too; they are sent only to viewers that show them. Default: `true`. Set
     /// it to false on a slow network.

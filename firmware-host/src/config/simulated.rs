@@ -9,21 +9,21 @@ use gelstereo_sim::effects::{Defocus, SensorNoise};
 use gelstereo_sim::{Effects, Gel, Scene, Shape};
 use serde::{Deserialize, Serialize};
 
-/// The simulated world: what is really there, of which the job knows only what it measures.
+/// The simulated world: the ground truth, which the job only measures.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SimulatedConfig {
-    /// Seed of the part's place and of the images' noise. Valid: 0 to 9223372036854775807. Default: `1`.
-    /// Change it to try another part's place; the same seed gives the same bits.
+    /// Seed of the part's pose and of the images' noise. Valid: 0 to 9223372036854775807. Default: `1`.
+    /// Change it to try another pose; the same seed gives identical results.
     pub seed: u64,
-    /// Rate of the simulated camera. Valid: 0.1 to 1000 Hz. Default: `30` Hz. Change it to the rate of the
-    /// camera that you plan with.
+    /// Rate of the simulated camera. Valid: 0.1 to 1000 Hz. Default: `30` Hz. Change it to the rate of your
+    /// planned camera.
     pub frame_rate_hz: f64,
-    /// Largest distance of the part from where it is expected, along each axis. Valid: 0 to 10 mm. Default:
+    /// Largest offset of the part from its expected position, along each axis. Valid: 0 to 10 mm. Default:
     /// `1` mm. Raise it to try worse guesses.
     pub offset_mm: f64,
-    /// Largest tilt from where it is expected, about each axis; the spin about a round part's axis is any.
-    /// Valid: 0 to 0.5 rad. Default: `0.05` rad. Raise it to try worse guesses.
+    /// Largest tilt of the part from its expected orientation, about each axis. The spin of a round part is
+    /// arbitrary. Valid: 0 to 0.5 rad. Default: `0.05` rad. Raise it to try worse guesses.
     pub tilt_rad: f64,
     /// Diameter of the round hole. Valid: 0.1 to 1000 mm. Default: `8.2` mm, 0.2 mm more than the peg's.
     /// Change it with the part's diameter.
@@ -33,22 +33,21 @@ pub struct SimulatedConfig {
     /// holes.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub hole_size_mm: Option<[f64; 2]>,
-    /// How far the faces of `task.edges` really stand from where they are configured, along their normals, which
-    /// the task does not know. Valid: -10 to 10 mm. Default: none, and then they stand where they are
-    /// configured. Set it to see what an error of a face does.
+    /// Position errors of the faces of `task.edges` along their normals, unknown to the task. Valid: -10 to
+    /// 10 mm. Default: none, no errors. Set it to see the effect of an error.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub edge_offset_mm: Option<f64>,
-    /// What stands in the holder, if it is not the part that the job expects. Default: none. Set it to try a
+    /// Shape of the part in the holder, if it differs from the expected one. Default: none. Set it to try a
     /// wrong part.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub shape: Option<Shape>,
-    /// Where the simulated sensor really stands in the sensor frame of `mount`, which the task does not know.
-    /// Default: no error. Change it to see what an error of the mount does.
+    /// True pose of the simulated sensor in the sensor frame of `mount`, unknown to the task. Default: no
+    /// error. Change it to see the effect of a mounting error.
     pub mount_error: PoseConfig,
     /// The gel and its lattice.
     pub gel: Gel,
-    /// What a real gel and camera do. Default: shoulder, spread and drag of the gel, blur and noise of the
-    /// camera. Change it to try the others; docs/simulator.md has them all.
+    /// Effects of a real gel and camera. Default: shoulder, spread and drag of the gel, blur and noise of the
+    /// camera. Change it to try other effects; docs/simulator.md lists all.
     pub effects: Effects,
 }
 
@@ -74,12 +73,12 @@ impl Default for SimulatedConfig {
     }
 }
 
-/// Largest ratio of the simulated pitch to the configured one. A print that differs by more is another print, and
-/// the pipeline could mistake a marker for its neighbour.
+/// Largest ratio of the simulated pitch to the configured one. With a larger difference the pipeline could
+/// mistake a marker for its neighbour.
 const MAX_PITCH_RATIO: f64 = 1.1;
 
 impl SimulatedConfig {
-    /// The scene of the simulated sensor, with what stands in the holder.
+    /// The scene of the simulated sensor, with the part in the holder.
     #[must_use]
     pub fn scene(&self, rig: Rig, shape: Shape) -> Scene {
         Scene {
@@ -113,13 +112,13 @@ impl SimulatedConfig {
         }
     }
 
-    /// Whether the sensor can be simulated: the gel, its effects, and the cameras' sight of it.
+    /// Checks that the sensor can be simulated: the gel, its effects, and its visibility to the cameras.
     pub(super) fn validate_scene(&self, rig: &Rig, shape: &Shape) -> Result<(), ConfigError> {
         let scene = self.scene(rig.clone(), self.shape.as_ref().unwrap_or(shape).clone());
         scene.validate().map_err(|error| ConfigError::Scene { table: "simulated", error })
     }
 
-    /// Whether the pipeline expects the gel that is simulated.
+    /// Checks that the pipeline expects the simulated gel.
     pub(super) fn validate_against(&self, params: &Params) -> Result<(), ConfigError> {
         let (expected_mm, printed_mm) = (params.lattice.pitch_mm, self.gel.pitch_mm);
         let ratio = (expected_mm / printed_mm).max(printed_mm / expected_mm);

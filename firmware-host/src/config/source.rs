@@ -22,20 +22,20 @@ pub enum SourceConfig {
         /// The folder, with images such as `left_1.png` and `right_1.png` in natural order of their names. A
         /// relative path starts at the configuration's folder. Set it to your images.
         path: PathBuf,
-        /// Rate at which they were taken. Valid: 0.1 to 1000 Hz. Set it to the camera's.
+        /// Rate at which the images were taken. Valid: 0.1 to 1000 Hz. Set it to the camera's.
         frame_rate_hz: f64,
     },
     /// A stereo camera by Video4Linux2: one device with both views, or two devices.
     Camera(CameraConfig),
-    /// Frames through a pipe, as `docs/frame-stream.md` describes them.
+    /// Frames through a pipe, in the format of `docs/frame-stream.md`.
     Stream(StreamConfig),
 }
 
-/// Fewer periods of a camera than this are no time to wait for a pair: one is missed now and then.
+/// Minimum number of camera periods to wait for a pair, because single frames are sometimes lost.
 const MIN_WAIT_PERIODS: f64 = 2.0;
 
 impl SourceConfig {
-    /// Whether a camera's images are those of the rig, and come before the task gives up waiting.
+    /// Checks that a camera's images have the rig's size, and arrive within the task's time limit.
     pub(super) fn validate_against(&self, rig: &Rig, task: &TaskConfig) -> Result<(), ConfigError> {
         let Self::Camera(camera) = self else { return Ok(()) };
         let (width, height) = camera.view_size_px();
@@ -60,7 +60,7 @@ impl SourceConfig {
         Ok(())
     }
 
-    /// Whether the moves are so slow that a camera that is well never looks silent.
+    /// Checks that moves are slow enough that a working camera is never taken for silent.
     pub(super) fn validate_blind_travel(&self, task: &TaskConfig) -> Result<(), ConfigError> {
         let Self::Camera(camera) = self else { return Ok(()) };
         let felt = ("task.max_blind_travel_mm", task.max_blind_travel_mm);
@@ -95,7 +95,8 @@ impl SourceConfig {
         }
     }
 
-    /// Nominal rate of its frames. A stream without a rate, and the simulated sensor, have that of the simulated world.
+    /// Nominal frame rate. A stream without a rate, and the simulated sensor, have that of the simulated
+    /// world.
     #[must_use]
     pub fn frame_rate_hz(&self, simulated_hz: f64) -> f64 {
         match self {
@@ -106,7 +107,7 @@ impl SourceConfig {
         }
     }
 
-    /// Whether its frames come when they are taken, on a real clock, and are lost if nobody fetches them.
+    /// Whether frames arrive in real time, and are lost if they are not fetched.
     #[must_use]
     pub fn is_live(&self) -> bool {
         match self {

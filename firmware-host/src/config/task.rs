@@ -50,121 +50,121 @@ impl PoseConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TaskConfig {
-    /// Where the part is expected before it is grasped (`t_base_object`). Change it to your cell's.
+    /// Expected pose of the part before it is grasped (`t_base_object`). Change it to your cell's.
     pub part_pose: PoseConfig,
-    /// How far it may be from there, one standard deviation per axis. What the contact does not determine
-    /// stays at the expectation with this uncertainty. Valid: 0.0001 to 100 mm. Default: `0.6` mm. Change it
-    /// to how well the part's place is known.
+    /// Standard deviation of the part's position from there, per axis. Directions that the contact does not
+    /// determine keep the expected value with this uncertainty. Valid: 0.0001 to 100 mm. Default: `0.6` mm.
+    /// Change it to the uncertainty of the part's position.
     pub part_sigma_mm: f64,
-    /// The same for its rotation. Valid: 0.0001 to 3.2 rad. Default: `0.03` rad. Change it to how well the
-    /// part's rotation is known.
+    /// Standard deviation of the part's rotation, per axis. Valid: 0.0001 to 3.2 rad. Default: `0.03` rad.
+    /// Change it to the uncertainty of the part's rotation.
     pub part_sigma_rad: f64,
-    /// Where the gripper closes (`t_base_gripper`). Change it to your cell's.
+    /// Pose at which the gripper closes (`t_base_gripper`). Change it to your cell's.
     pub grasp_pose: PoseConfig,
-    /// Where the part is when it is inserted (`t_base_object`): the template pose of the hole. Change it to
-    /// your cell's.
+    /// Pose of the inserted part (`t_base_object`): the template pose of the hole. Change it to your cell's.
     pub goal_pose: PoseConfig,
     /// File with the taught goal, in place of `goal_pose`; `gelstereo-host teach` writes it. A relative
     /// path starts at the configuration's folder. Default: none. Set it where the pose of the hole, or the
-    /// sensor's mount, is not known to a tenth of a millimetre.
+    /// sensor's mount, is less accurate than a tenth of a millimetre.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub taught: Option<PathBuf>,
     /// Grasp trigger in standard deviations of the mean marker motion at rest above its median, in place of
-    /// `params.contact.grasp_trigger_px`. The rest stage then takes 34 frames more. Valid: 7.3 to 1000000.
-    /// Default: none. Set it where sensors of different noise are to feel alike.
+    /// `params.contact.grasp_trigger_px`. The rest stage then takes 34 more frames. Valid: 7.3 to 1000000.
+    /// Default: none. Set it where sensors with different noise need the same sensitivity.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub grasp_trigger_sigmas: Option<f64>,
-    /// The same for the insertion trigger. Valid: 7.3 to 1000000. Default: none. Set it where sensors of
-    /// different noise are to feel alike.
+    /// The same for the insertion trigger. Valid: 7.3 to 1000000. Default: none. Set it where sensors with
+    /// different noise need the same sensitivity.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub insertion_trigger_sigmas: Option<f64>,
     /// Direction of insertion in the part's frame, of any length. Valid: -1000000 to 1000000. Default: `[0,
     /// 0, -1]`. Change it to the part's.
     pub insertion_axis: [f64; 3],
-    /// Length of the way from the rim of the hole to the goal. Valid: 0.001 to 1000 mm. Default: `10` mm.
-    /// Change it to the hole's.
+    /// Distance from the rim of the hole to the goal. Valid: 0.001 to 1000 mm. Default: `10` mm. Change it to
+    /// the hole's.
     pub insertion_depth_mm: f64,
-    /// The part is aligned this far above the rim. Valid: 0.001 to 1000 mm. Default: `3` mm. Raise it where
-    /// the part may touch the rim while it is aligned.
+    /// Height above the rim at which the part is aligned. Valid: 0.001 to 1000 mm. Default: `3` mm. Raise it
+    /// where the part may touch the rim while it is aligned.
     pub approach_mm: f64,
-    /// The robot gives up this far beyond the goal when nothing stops it. Valid: 0.001 to 1000 mm. Default:
-    /// `4` mm. Lower it where the robot would hit something below the hole.
+    /// Distance beyond the goal at which the robot gives up if nothing stops it. Valid: 0.001 to 1000 mm.
+    /// Default: `4` mm. Lower it where the robot would hit something below the hole.
     pub overtravel_mm: f64,
-    /// How far the part is lifted out of its holder. Valid: 0.001 to 1000 mm. Default: `45` mm. Change it to
-    /// clear the holder and what stands around.
+    /// Height by which the part is lifted out of its holder. Valid: 0.001 to 1000 mm. Default: `45` mm.
+    /// Change it to clear the holder and its surroundings.
     pub lift_mm: f64,
-    /// Opening before the gripper closes, within what `mount.kinematics` can have. Valid: 0.001 to 1000 mm.
-    /// Default: `14` mm. Change it to the part's width and some room.
+    /// Opening before the gripper closes, within the range of `mount.kinematics`. Valid: 0.001 to 1000 mm.
+    /// Default: `14` mm. Change it to the part's width plus a margin.
     pub open_width_mm: f64,
     /// Speed at which the gripper opens. Valid: 0.01 to 10000 mm/s. Default: `150` mm/s, the fastest of a
     /// Robotiq 2F-85. Change it to your gripper's.
     pub opening_speed_mm_s: f64,
     /// Speed at which the gripper closes. Valid: 0.01 to 10000 mm/s. Default: `20` mm/s, the slowest of a
-    /// Robotiq 2F-85. Lower it for fragile parts: between two frames the fingers go on.
+    /// Robotiq 2F-85. Lower it for fragile parts, because the fingers continue to move between two frames.
     pub closing_speed_mm_s: f64,
-    /// Share of the gripper's range. Valid: 0 to 1. Default: `0.2`. Raise it for heavy parts.
+    /// Gripping force as a fraction of the gripper's range. Valid: 0 to 1. Default: `0.2`. Raise it for heavy
+    /// parts.
     pub closing_force: f64,
     /// Speed of free moves. Valid: 0.01 to 10000 mm/s. Default: `400` mm/s. Lower it while you set up a cell.
     pub move_speed_mm_s: f64,
-    /// Speed of the insertion. Valid: 0.01 to 10000 mm/s. Default: `10` mm/s. Lower it for tight fits: the
-    /// part goes on for one frame after the gel feels the hole's bottom.
+    /// Speed of the insertion. Valid: 0.01 to 10000 mm/s. Default: `10` mm/s. Lower it for tight fits,
+    /// because the part moves for one more frame after it reaches the hole's bottom.
     pub insertion_speed_mm_s: f64,
-    /// How long to wait for a stereo pair while nothing moves. Valid: 0.001 to 3600 s. Default: `2` s. Raise
-    /// it for a slow camera.
+    /// Time limit for a stereo pair while nothing moves. Valid: 0.001 to 3600 s. Default: `2` s. Raise it for
+    /// a slow camera.
     pub frame_timeout_s: f64,
-    /// A move that a trigger ends is stopped when no stereo pair has come for so long a way. At 20 mm/s the
-    /// default is 150 ms. Valid: 0.001 to 1000 mm, and two periods of the camera at the speeds of closing and
-    /// insertion. Default: `3` mm. Lower it for stiff gels and hard parts.
+    /// Largest travel without a stereo pair during a move that ends by a trigger; the move is then stopped.
+    /// At 20 mm/s the default is 150 ms. Valid: 0.001 to 1000 mm, and two periods of the camera at the speeds
+    /// of closing and insertion. Default: `3` mm. Lower it for stiff gels and hard parts.
     pub max_blind_travel_mm: f64,
-    /// The same for moves on free ways: opening, lifting, aligning. At 400 mm/s the default is 300 ms.
+    /// The same for moves along free paths: opening, lifting, aligning. At 400 mm/s the default is 300 ms.
     /// Valid: 0.001 to 1000 mm, and two periods of the camera at the speeds of opening and moving. Default:
-    /// `120` mm. Lower it where the way may be blocked.
+    /// `120` mm. Lower it where the path may be blocked.
     pub max_blind_free_travel_mm: f64,
-    /// Everything is stopped when a result comes so many periods of a live source after its image while
-    /// something moves. Valid: 1 to 1000. Default: `3`. Raise it on a slow computer, together with slower
-    /// moves.
+    /// Largest delay of a result after its image while something moves, in periods of a live source;
+    /// everything is then stopped. Valid: 1 to 1000. Default: `3`. Raise it on a slow computer, together with
+    /// slower moves.
     pub max_late_periods: f64,
-    /// Everything is stopped when gripper or robot leave a status request unanswered for so long. Valid:
-    /// 0.001 to 3600 s. Default: `0.5` s. Raise it for a slow controller.
+    /// Time limit of gripper and robot for a status request; everything is then stopped. Valid: 0.001 to 3600
+    /// s. Default: `0.5` s. Raise it for a slow controller.
     pub device_timeout_s: f64,
-    /// The job breaks off when one stage takes longer, on the frame source's clock. No stage may be planned
-    /// to take longer. Valid: 0.1 to 3600 s. Default: `120` s. Raise it for long or slow moves; the recording
-    /// may grow with it.
+    /// Time limit of each stage on the frame source's clock, after which the job stops. No stage may be
+    /// planned to take longer. Valid: 0.1 to 3600 s. Default: `120` s. Raise it for long or slow moves;
+    /// recordings may become larger.
     pub stage_timeout_s: f64,
-    /// So many stereo pairs in a row may show no markers (black, covered, blurred) before the job breaks off.
-    /// While they last nothing is felt: at 30 Hz and 10 mm/s the part moves 0.33 mm with each. Valid: 0 to
+    /// Number of consecutive stereo pairs without markers (black, covered, blurred) that the job tolerates.
+    /// Contact is not sensed meanwhile: at 30 Hz and 10 mm/s the part moves 0.33 mm with each. Valid: 0 to
     /// 1000 pairs. Default: `2`. Raise it only for slow moves.
     pub max_bad_frames: u32,
-    /// What the hole's width has over the part's. With it the job inserts only if that is likely to
-    /// succeed, and looks again if not. Valid: 0.001 to 10 mm. Default: none, and then every part that is
-    /// localized is inserted. Change it to your hole's.
+    /// Width of the hole minus width of the part. If set, the job inserts only if success is likely, and
+    /// otherwise looks again. Valid: 0.001 to 10 mm. Default: none; every localized part is inserted. Change
+    /// it to your hole's.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub clearance_mm: Option<f64>,
-    /// The part is inserted from this probability of success on. Valid: 0 to 1. Default: `0.99`. Lower it
-    /// where a part that jams does no harm.
+    /// Minimum probability of success for an insertion. Valid: 0 to 1. Default: `0.99`. Lower it where a
+    /// jammed part does no harm.
     pub min_chance: f64,
-    /// Looks at a part, the first one included. Between two looks the hand lets go of the part in its
-    /// holder, and takes it again. Valid: 1 to 10. Default: `3`. Change it to 1 where the part does not
+    /// Maximum number of looks at a part, including the first. Between two looks the hand releases the part
+    /// in its holder, and grasps it again. Valid: 1 to 10. Default: `3`. Change it to 1 if the part does not
     /// stand by itself.
     pub max_looks: u32,
-    /// The hand may turn about the part's axis by this between two looks, either way. Valid: -3.2 to 3.2
-    /// rad. Default: `1.5707963267948966` rad, a quarter turn. Change it to the angle between two faces of
-    /// your part.
+    /// Angle by which the hand may turn about the part's axis between two looks, in both directions. Valid:
+    /// -3.2 to 3.2 rad. Default: `1.5707963267948966` rad, a quarter turn. Change it to the angle between two
+    /// faces of your part.
     pub look_turn_rad: f64,
-    /// How far the part moves in its holder between two looks, with the robot's repeatability: one standard
-    /// deviation per axis. Along the closing direction it is pushed, and `part_sigma_mm` counts. Valid:
-    /// 0.0001 to 100 mm. Default: `0.03` mm. Raise it for a loose holder.
+    /// Standard deviation per axis of the part's motion in its holder between two looks, including the
+    /// robot's repeatability. Along the closing direction the fingers push the part, and `part_sigma_mm`
+    /// applies. Valid: 0.0001 to 100 mm. Default: `0.03` mm. Raise it for a loose holder.
     pub look_sigma_mm: f64,
-    /// The same for its rotation. Valid: 0.0001 to 3.2 rad. Default: `0.001` rad. Raise it for a loose
+    /// The same for the part's rotation. Valid: 0.0001 to 3.2 rad. Default: `0.001` rad. Raise it for a loose
     /// holder.
     pub look_sigma_rad: f64,
-    /// Insertions that are tried where the part jams: it is lifted, shifted on rings around the hole and
-    /// lowered again. Needs `clearance_mm`. Valid: 1 to 100. Default: `1`, which is no search. Raise it
-    /// where a part that touches the rim does no harm.
+    /// Maximum number of insertion attempts if the part jams. Between attempts it is lifted, shifted on rings
+    /// around the hole and lowered again. Needs `clearance_mm`. Valid: 1 to 100. Default: `1`, no search.
+    /// Raise it where a part that touches the rim does no harm.
     pub max_tries: u32,
-    /// Faces of the cell that the part in the hand may be brought to, where `clearance_mm` is given:
-    /// `[[task.edges]]` for each. Default: none. Set them where a look leaves open what the hole needs, as
-    /// across a flat face.
+    /// Faces of the cell that the part in the hand may touch, one `[[task.edges]]` each; needs
+    /// `clearance_mm`. Default: none. Set them where a look does not determine a direction that matters for
+    /// the hole, such as along a flat face.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub edges: Vec<EdgeConfig>,
 }
@@ -176,7 +176,7 @@ impl Default for TaskConfig {
             part_pose: at([400.0, -60.0, 20.0]),
             part_sigma_mm: 0.6,
             part_sigma_rad: 0.03,
-            // Fingers down, the pads of a 2F-85 that is 8 mm open 5 mm above the middle of the peg.
+            // Fingers down, with the pads of a 2F-85 at 8 mm opening 5 mm above the middle of the peg.
             grasp_pose: PoseConfig {
                 position_mm: [400.0, -60.0, 169.4],
                 rotation_rad: [core::f64::consts::PI, 0.0, 0.0],
@@ -286,7 +286,7 @@ impl TaskConfig {
         SIGMA_RAD.check("task.look_sigma_rad", self.look_sigma_rad)
     }
 
-    /// How long the stages take that the task alone determines, by name: lifting and aligning, and inserting.
+    /// Durations of the stages that depend only on the task, by name: lifting and aligning, and inserting.
     pub(crate) fn planned_s(&self) -> [(&'static str, f64); 2] {
         let goal = self.goal_pose.pose();
         let back_mm = self.insertion_depth_mm + self.approach_mm;
@@ -301,7 +301,7 @@ impl TaskConfig {
         ]
     }
 
-    /// A stage that cannot end in time would always break off, after it has recorded all that while.
+    /// A stage that cannot end in time would always be stopped, after recording for the whole time.
     fn check_times(&self) -> Result<(), ConfigError> {
         match self.planned_s().into_iter().find(|(_, planned_s)| !(*planned_s <= self.stage_timeout_s)) {
             Some((name, planned_s)) => {

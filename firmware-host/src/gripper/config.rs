@@ -9,7 +9,7 @@ use super::{
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
 
-/// Which gripper, and where it is connected.
+/// Kind of gripper, and its connection.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", tag = "kind", deny_unknown_fields)]
 pub enum GripperConfig {
@@ -86,7 +86,7 @@ pub enum GripperConfig {
         /// Opening against the position, measured. Set it always: it is the linkage's.
         widths: WidthTable,
         /// Largest goal current in the servo's own units; see its data sheet. Set it to what the fingers and
-        /// the part bear.
+        /// the part withstand.
         max_current: u16,
     },
     /// One Feetech STS servo.

@@ -107,7 +107,7 @@ impl fmt::Display for GripperError {
                 "the gripper was asked for {speed_mm_s} mm/s; it can move at {min_mm_s} to {max_mm_s} mm/s"
             ),
             Self::Force { force } => {
-                write!(f, "the gripper was asked for a force of {force}; valid is a share from 0 to 1")
+                write!(f, "force is {force}; valid is a fraction from 0 to 1")
             }
             Self::NotActivated => {
                 write!(

@@ -87,7 +87,7 @@ impl fmt::Display for HidError {
             Self::Disconnected { path } => write!(f, "the HID device {} was unplugged", path.display()),
             Self::Timeout { command, waited } => write!(
                 f,
-                "no answer within {} ms when the device was to {command}; plug it in again if this stays",
+                "the device did not {command} within {} ms; reconnect it if this persists",
                 waited.as_millis()
             ),
             Self::Io { action, path, error } => write!(f, "cannot {action} {}: {error}", path.display()),

@@ -44,9 +44,9 @@ impl std::fmt::Display for RecordingError {
             Self::Disk(error) => write!(f, "the recording cannot be written or read: {error}"),
             // The library reports a chunk that cannot be unpacked as an I/O error.
             Self::Format(mcap::McapError::Io(error)) => {
-                write!(f, "this is no intact MCAP recording: a chunk cannot be unpacked: {error}")
+                write!(f, "this is not an intact MCAP recording: a chunk cannot be unpacked: {error}")
             }
-            Self::Format(error) => write!(f, "this is no intact MCAP recording: {error}"),
+            Self::Format(error) => write!(f, "this is not an intact MCAP recording: {error}"),
             Self::Message { topic, error } => write!(f, "a message on {topic}: {error}"),
             Self::Content { place, error } => write!(f, "{place} of the recording: {error}"),
             Self::NoConfig => write!(

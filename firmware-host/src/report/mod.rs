@@ -183,7 +183,10 @@ impl std::fmt::Display for Outcome {
                 write!(f, "taught: the part was localized in its goal at ({x:.2}, {y:.2}, {z:.2}) mm")
             }
             Self::NothingFelt { depth_mm } => {
-                write!(f, "nothing felt down to a depth of {depth_mm:.2} mm: no part, or no hole's bottom")
+                write!(
+                    f,
+                    "no contact down to a depth of {depth_mm:.2} mm: there is no part, or the hole has no bottom"
+                )
             }
             Self::EdgeNotFelt { edge, travel_mm } => write!(
                 f,

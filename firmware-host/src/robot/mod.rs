@@ -49,7 +49,7 @@ impl fmt::Display for RobotError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Speed { speed_mm_s } => {
-                write!(f, "the robot was asked for a speed of {speed_mm_s} mm/s; valid is above 0 and finite")
+                write!(f, "speed_mm_s is {speed_mm_s}; valid is above 0 and finite")
             }
             Self::Silent { address, waited_ms } => {
                 write!(

@@ -73,6 +73,8 @@ pub struct Ended {
     pub status: Status,
     /// How the outputs were closed.
     pub closed: Closed,
+    /// Whether an output failed during the run.
+    pub lost_output: bool,
 }
 
 /// Sensing loop, until it is stopped or its source ends.
@@ -151,7 +153,8 @@ impl<'a> Sense<'a> {
             Err(_) => "the source broke",
         };
         (self.say)(&Report::Ended { reason, status: status.clone() });
-        result.map(|reason| Ended { reason, status, closed }).map_err(SenseError::Source)
+        let lost_output = !self.lost_outputs.is_empty();
+        result.map(|reason| Ended { reason, status, closed, lost_output }).map_err(SenseError::Source)
     }
 
     fn until_end(&mut self) -> Result<&'static str, SourceError> {

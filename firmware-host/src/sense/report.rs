@@ -209,7 +209,7 @@ impl std::fmt::Display for Report {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Started { source, outputs } if outputs.is_empty() => {
-                write!(f, "sensing on {source}; results go nowhere but to this log")
+                write!(f, "sensing on {source}; results go only to this log")
             }
             Self::Started { source, outputs } => {
                 write!(f, "sensing on {source}; results go to {}", outputs.join(", "))
@@ -228,7 +228,7 @@ impl std::fmt::Display for Report {
             }
             Self::Pose { tracking, .. } => write!(f, "pose {tracking}"),
             Self::BadFrame { reason, .. } => write!(f, "a frame cannot be sensed: {reason}"),
-            Self::OutputLost { output, reason } => write!(f, "{output} takes no more: {reason}"),
+            Self::OutputLost { output, reason } => write!(f, "{output} stopped: {reason}"),
             Self::Status(status) => status.fmt(f),
             Self::Ended { reason, status } => write!(f, "ended ({reason}): {status}"),
         }

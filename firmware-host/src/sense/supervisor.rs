@@ -69,7 +69,7 @@ impl std::fmt::Display for HealthError {
                     "cannot read the health file {path}: {error}; does `sense --health-file {path}` run?"
                 )
             }
-            Self::Parse { path, error } => write!(f, "{} is no health file: {error}", path.display()),
+            Self::Parse { path, error } => write!(f, "{} is not a health file: {error}", path.display()),
             Self::Old { path, age_s, max_age_s } => write!(
                 f,
                 "{} was written {age_s:.1} s ago, longer than {max_age_s} s: sensing has ended or hangs",

@@ -44,7 +44,7 @@ impl std::fmt::Display for JpegError {
         match self {
             Self::NoStart => write!(f, "the JPEG image does not start with the bytes ff d8"),
             Self::NoEnd { bytes } => {
-                write!(f, "the JPEG image was cut off: its {bytes} bytes hold no end marker, ff d9")
+                write!(f, "the JPEG image is truncated: its {bytes} bytes have no end marker, ff d9")
             }
             Self::Corrupt { reason } => write!(f, "the JPEG image is damaged: {reason}"),
         }

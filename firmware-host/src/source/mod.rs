@@ -305,7 +305,7 @@ impl std::fmt::Display for SourceError {
                 second.display()
             ),
             Self::Decode { path, message } => {
-                write!(f, "{} is no PNG, PGM or JPEG image that can be read: {message}", path.display())
+                write!(f, "{} cannot be read as a PNG, PGM or JPEG image: {message}", path.display())
             }
             Self::SizeChange { path, found, expected } => write!(
                 f,

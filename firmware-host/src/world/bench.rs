@@ -252,8 +252,8 @@ fn mouth(config: &Config, peg: &Peg) -> Mouth {
 fn misplaced(config: &Config, peg: &Peg) -> Pose {
     let simulated = &config.simulated;
     let mut stream = Stream::new(simulated.seed, "part in its holder");
-    let mut within = |most: f64| (2.0 * stream.uniform() - 1.0) * most;
-    let mut vector = |most: f64| DVec3::new(within(most), within(most), within(most));
+    let mut within = |limit: f64| (2.0 * stream.uniform() - 1.0) * limit;
+    let mut vector = |limit: f64| DVec3::new(within(limit), within(limit), within(limit));
     let offset_mm = vector(simulated.offset_mm);
     let tilt = vector(simulated.tilt_rad);
     // A holder also fixes the spin of a part with corners; only the tilt vector contributes some.
@@ -270,7 +270,7 @@ fn placed(config: &Config, hole: &Hole, peg: &Peg) -> Pose {
     let goal = config.task.goal_pose.pose();
     let Room { room_mm, spin_rad } = room(&hole.mouth, peg);
     let mut stream = Stream::new(config.simulated.seed, "part in its goal");
-    let mut within = |most: f64| (2.0 * stream.uniform() - 1.0) * most;
+    let mut within = |limit: f64| (2.0 * stream.uniform() - 1.0) * limit;
     let candidates = (0..MAX_TRIES).map(|_| {
         let tilt = DVec3::new(within(1.0), within(1.0), 0.0) * (room_mm / hole.depth_mm);
         let offset_mm = DVec3::new(within(room_mm), within(room_mm), 0.0);

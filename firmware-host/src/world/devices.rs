@@ -102,7 +102,7 @@ impl Gripper for SimulatedGripper {
             return Err(GripperError::Width { width_mm, min_mm, max_mm });
         }
         if !(speed_mm_s > 0.0 && speed_mm_s.is_finite()) {
-            let message = format!("asked for a speed of {speed_mm_s} mm/s; valid is above 0 and finite");
+            let message = format!("speed_mm_s is {speed_mm_s}; valid is above 0 and finite");
             return Err(GripperError::Device { message });
         }
         world.width_mm.target = width_mm;

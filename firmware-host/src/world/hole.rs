@@ -233,7 +233,7 @@ mod tests {
     #[test]
     fn the_limit_of_a_box_is_that_of_its_points() {
         let mut stream = gelstereo_core::math::random::Stream::new(4, "blades");
-        let mut within = |most: f64| (2.0 * stream.uniform() - 1.0) * most;
+        let mut within = |limit: f64| (2.0 * stream.uniform() - 1.0) * limit;
         let mut wedged = 0;
         for _ in 0..300 {
             let turn = DVec3::new(within(0.02), within(0.02), within(0.006));

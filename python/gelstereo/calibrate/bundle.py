@@ -163,8 +163,8 @@ def minimise(linearise: Callable[[Array, Array], Linearised], start: tuple[Array
         if at_rest:
             return _solution(shared, own, at)
     raise CalibrationError(
-        "no layers explain the markers: the search does not come to rest; check the rig, the boards' heights, the "
-        "layers it starts from and their priors"
+        "no layers explain the markers: the search does not converge; check the rig, the boards' heights, the "
+        "initial layers and their priors"
     )
 
 

@@ -102,8 +102,8 @@ def _refuse_swapped_views(pose: tuple[Array, Array]) -> None:
     if right_camera_mm[0] < -0.5 * np.linalg.norm(right_camera_mm):
         x, y, z = right_camera_mm
         raise SwappedViewsError(
-            f"by the images the right camera stands at ({x:.2f}, {y:.2f}, {z:.2f}) mm in the left camera's frame, that "
-            "is to its left; exchange the left and the right images"
+            f"according to the images, the right camera is at ({x:.2f}, {y:.2f}, {z:.2f}) mm in the left "
+            "camera's frame, which is to its left; exchange the left and the right images"
         )
 
 

@@ -56,7 +56,7 @@ def board_size(text: str) -> tuple[int, int]:
     """Columns and rows of ``9x6``."""
     parts = text.lower().split("x")
     if len(parts) != 2 or not all(part.isdigit() for part in parts):
-        raise argparse.ArgumentTypeError(f"{text!r} is no board; write inner corners as 9x6")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a board; write inner corners as 9x6")
     return int(parts[0]), int(parts[1])
 
 

@@ -84,9 +84,7 @@ class CornerFinder:
             reply = self._worker.ask(request, self.time_limit_s)
         except (CalibrationError, BrokenPipeError) as error:
             self.close()
-            raise ImageError(
-                f"the corner search ended while it was at work on {path}: {error}", path
-            ) from error
+            raise ImageError(f"the corner search ended while processing {path}: {error}", path) from error
         if reply is None:
             self.close()
             return Corners(self._size_px(path), None, timed_out=True)
@@ -144,9 +142,7 @@ class _Worker:
             return None
         if not line:
             code = self._process.wait()
-            raise CalibrationError(
-                f"the corner search ended unexpectedly (exit code {code}); its output says why"
-            )
+            raise CalibrationError(f"the corner search ended unexpectedly (exit code {code}); see its output")
         return line
 
     def ask(self, request: dict[str, Any], limit_s: float) -> dict[str, Any] | None:

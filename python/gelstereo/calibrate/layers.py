@@ -142,7 +142,7 @@ def calibrate_layers(
     """
     layers = rig.layers if layers is None else layers
     if layers is None:
-        raise CalibrationError("the rig has no layers; give the layers as designed")
+        raise CalibrationError("the rig has no layers; pass the design values as `layers`")
     if pitch_sigma_mm is None:
         pitch_sigma_mm = PITCH_TOLERANCE * pitch_mm
     known = Known(dict(priors or {}), pitch_mm, pitch_sigma_mm, height_sigma_mm, sigma_px)

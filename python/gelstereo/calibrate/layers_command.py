@@ -76,7 +76,7 @@ def calibrate_images(arguments: argparse.Namespace) -> LayersCalibration:
     """Calibrate from the images named by the arguments."""
     rig, params = Rig.load(arguments.rig), params_of(arguments)
     if rig.layers is None:
-        raise CalibrationError(f"{arguments.rig} has no [layers]; write down the layers as designed")
+        raise CalibrationError(f"{arguments.rig} has no [layers]; add their design values")
     pipeline = Pipeline(rig, params)
 
     def frame(left: Path, right: Path) -> Frame:
@@ -102,7 +102,9 @@ def prior(text: str) -> tuple[str, float]:
     try:
         return name, float(sigma)
     except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is no prior; write NAME=SIGMA, as gap_mm=0.5") from None
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not a prior; write NAME=SIGMA, for example gap_mm=0.5"
+        ) from None
 
 
 def protrusion(text: str) -> float:
@@ -112,5 +114,7 @@ def protrusion(text: str) -> float:
     except ValueError:
         height_mm = float("nan")
     if not height_mm > 0.0:
-        raise CalibrationError(f"a board of {text!r} mm; valid is a protrusion above 0, then its two images")
+        raise CalibrationError(
+            f"the board's protrusion is {text!r} mm; valid is a number above 0, then its two images"
+        )
     return height_mm

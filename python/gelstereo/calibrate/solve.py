@@ -144,7 +144,9 @@ def board_pose(object_mm: Array, corners_px: Array, matrix: Array, distortion: A
     """Pose of the board in the camera's frame: rotation (3, 3) and translation (3,) in millimetres."""
     found, rotation, translation = cv2.solvePnP(object_mm, corners_px, matrix, distortion)
     if not found:
-        raise CalibrationError("no pose of the board explains its corners; are they on one line?")
+        raise CalibrationError(
+            "no pose of the board explains its corners; check that they do not lie on one line"
+        )
     return np.asarray(cv2.Rodrigues(rotation)[0], float), np.asarray(translation, float).ravel()
 
 

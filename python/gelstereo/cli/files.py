@@ -25,7 +25,7 @@ def write_image(path: Path, image: npt.NDArray[np.uint8]) -> None:
 
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.suffix.lower() not in _IMAGES:
-        raise FileError(f"{path} does not end as an image does; valid is one of {sorted(_IMAGES)}")
+        raise FileError(f"{path} does not end like an image file; valid is one of {sorted(_IMAGES)}")
     if not cv2.imwrite(str(path), image):
         raise OSError(f"{path} could not be written")
 
@@ -50,7 +50,7 @@ def stereo_pairs(folder: Path) -> list[tuple[Path, Path]]:
     alone = sorted(set(views[0]) ^ set(views[1]))
     if alone:
         raise FileError(
-            f"{alone[0]} stands in only one of {folder}/left and {folder}/right; pairs share a name"
+            f"{alone[0]} exists in only one of {folder}/left and {folder}/right; pairs need equal names"
         )
     if not views[0]:
         raise FileError(f"{folder} has no images; valid is left/NAME.png with right/NAME.png")
@@ -93,14 +93,14 @@ def read_points(path: Path) -> Floats:
     except (ValueError, EOFError, IndexError, KeyError) as error:
         raise FileError(f"{path} cannot be read as a point cloud: {error}") from error
     if points.ndim != 2 or points.shape[1] != 3:
-        raise ShapeError(f"{path} holds an array {points.shape}; valid is (N, 3), in millimetres")
+        raise ShapeError(f"{path} has an array of shape {points.shape}; valid is (N, 3), in millimetres")
     return points
 
 
 def _read_npy(path: Path) -> Floats:
     values = np.load(path, allow_pickle=False)
     if values.dtype.kind not in "fiu":
-        raise ValueError(f"it holds {values.dtype}; valid is real numbers")
+        raise ValueError(f"its values are {values.dtype}; valid are real numbers")
     return np.asarray(values, dtype=np.float64)
 
 
@@ -109,7 +109,7 @@ def _read_csv(path: Path) -> Floats:
     separator = "," if "," in "".join(lines[:2]) else None
     header = 0 if not lines or _is_number(lines[0].split(separator)[0]) else 1
     if not any(line.strip() for line in lines[header:]):
-        raise ValueError("it has no lines of numbers")
+        raise ValueError("it has no lines of numbers; valid are three columns")
     return np.loadtxt(lines[header:], delimiter=separator, ndmin=2)
 
 

@@ -57,5 +57,5 @@ def guess_of(arguments: argparse.Namespace) -> npt.NDArray[np.float64]:
 def count(text: str) -> int:
     """Parse an integer of at least 1."""
     if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"{text!r} is no count; valid is a whole number from 1 on")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a count; valid is an integer of 1 or more")
     return int(text)

@@ -59,7 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.output is not None:
         _draw_picture(arguments)
     elif arguments.source.is_dir():
-        raise Error(f"{arguments.source} is a folder of images; steps are those of a recording (.mcap)")
+        raise Error(f"{arguments.source} is a folder of images; steps need a recording (.mcap)")
     else:
         _show_steps(arguments)
     return 0

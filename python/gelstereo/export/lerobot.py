@@ -64,7 +64,7 @@ def export_lerobot(
         If a recording cannot be used, or the folder exists.
     """
     if folder.exists():
-        raise ExportError(f"{folder} is there already; name a new folder, or remove that one")
+        raise ExportError(f"{folder} exists; name a new folder, or remove this one")
     timelines = _timelines(recordings, fps)
     total = sum(len(timeline.taken) for timeline in timelines)
     partial = folder.with_name(folder.name + ".partial")

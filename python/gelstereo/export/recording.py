@@ -109,7 +109,7 @@ def _messages(path: Path, topics: set[str]) -> Iterator[tuple[str, Any]]:
     count = 0
     with path.open("rb") as stream:
         if stream.read(len(_MAGIC)) != _MAGIC:
-            raise ExportError(f"{path} is no MCAP file; valid is a recording of a sensor")
+            raise ExportError(f"{path} is not an MCAP file; valid is a recording of a sensor")
         stream.seek(0)
         try:
             for schema, channel, message in NonSeekingReader(stream).iter_messages(log_time_order=False):

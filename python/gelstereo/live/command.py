@@ -172,7 +172,7 @@ def _setup(arguments: argparse.Namespace) -> _Setup:
     part, shape = _part(arguments)
     if arguments.scene is not None:
         if arguments.rig is not None:
-            raise Error("a scene has a rig of its own; leave out --rig, or change the scene")
+            raise Error("a scene has its own rig; leave out --rig, or change the scene")
         scene = SceneSource(arguments.scene)
         if part is None:
             part, shape = _part_of(scene, arguments.scene.parent)
@@ -181,7 +181,7 @@ def _setup(arguments: argparse.Namespace) -> _Setup:
         rig = Rig.load(arguments.rig or arguments.folder / "rig.toml")
         return _Setup(FolderSource(arguments.folder, arguments.rate_hz), rig, part, shape)
     if arguments.rig is None:
-        raise Error("a camera needs the rig that `gelstereo calibrate` made of it: add --rig rig.toml")
+        raise Error("a camera needs its calibrated rig: add --rig rig.toml, written by `gelstereo calibrate`")
     rig = Rig.load(arguments.rig)
     camera = CameraSource(
         arguments.camera,

@@ -121,4 +121,4 @@ def _inline(value: Any) -> str:
         return "{ " + ", ".join(f"{key} = {_inline(inner)}" for key, inner in value.items()) + " }"
     if isinstance(value, str | bool | int | float | list):
         return json.dumps(value)
-    raise Error(f"a {type(value).__name__} has no place in a configuration")
+    raise Error(f"a value of type {type(value).__name__} cannot be written to a configuration")

@@ -85,7 +85,7 @@ def regular(corners: int, across_flats_mm: float, points: int) -> Array:
     """Outline of a regular polygon with a corner on +x; `points` is a multiple of `corners`."""
     if points % corners:
         raise MeshError(
-            f"{points} points do not share out over {corners} corners; valid is a multiple of them"
+            f"{points} points cannot be divided among {corners} corners; valid is a multiple of {corners}"
         )
     half_mm = 0.5 * across_flats_mm
 
@@ -101,7 +101,7 @@ def rectangle(width_mm: float, height_mm: float, points: int = 4, corner_mm: flo
     With rounded corners the points lie on the four arcs, with sharp corners along the sides.
     """
     if points % 4 or points < 4:
-        raise MeshError(f"{points} points do not share out over 4 corners; valid is a multiple of 4")
+        raise MeshError(f"{points} points cannot be divided among 4 corners; valid is a multiple of 4")
     each = points // 4
     half = 0.5 * np.array([width_mm, height_mm])
     signs = np.array([[1, -1], [1, 1], [-1, 1], [-1, -1]])

@@ -66,7 +66,7 @@ def peg_hexagonal(across_flats_mm: float = 8.0, length_mm: float = 40.0) -> trim
 
 
 def usb_plug(body_mm: tuple[float, float, float] = (15.0, 7.5, 22.0)) -> trimesh.Trimesh:
-    """Peg (e): a USB type A plug, 12.0 x 4.5 mm and 11.75 mm deep as its standard says, on a moulded body."""
+    """Peg (e): a USB type A plug, 12.0 x 4.5 mm and 11.75 mm deep (standard dimensions), on a moulded body."""
     width_mm, thickness_mm, length_mm = body_mm
     shell_mm, wall_mm, depth_mm = (12.0, 4.5), 0.3, 11.75
     points = 32

@@ -72,6 +72,6 @@ def _read(folder: Path, name: str) -> Array:
     try:
         return np.asarray(np.load(path, allow_pickle=False), np.float64)
     except FileNotFoundError:
-        raise RecordingError(f"{folder} has no {name}; it is no folder that PyTac3D recorded") from None
+        raise RecordingError(f"{folder} has no {name}; valid is a folder recorded by PyTac3D") from None
     except (ValueError, OSError) as error:
-        raise RecordingError(f"{path} is no array of numbers: {error}") from error
+        raise RecordingError(f"{path} is not an array of numbers: {error}") from error

@@ -113,7 +113,7 @@ def _plane_squares(points_mm: Array, shape: str, noise_mm: float) -> float:
     if not rms_mm > noise_mm:
         raise RecordingError(
             f"{len(points)} markers lie {rms_mm:.2g} mm rms about a plane, which is no more than their noise of "
-            f"{noise_mm:.2g} mm; they do not tell the radius of a {shape}"
+            f"{noise_mm:.2g} mm; they do not determine the radius of a {shape}"
         )
     return float(rms_mm**2 * len(points))
 

@@ -54,7 +54,7 @@ def read_messages(path: Path) -> Iterator[Recorded]:
     with path.open("rb") as stream:
         if stream.read(len(_MAGIC)) != _MAGIC:
             raise RecordingError(
-                f"{path} is no MCAP file; valid is a recording by gelstereo-host, or a folder"
+                f"{path} is not an MCAP file; valid is a recording by gelstereo-host, or a folder"
             )
         stream.seek(0)
         for _, channel, message in NonSeekingReader(stream).iter_messages(log_time_order=False):

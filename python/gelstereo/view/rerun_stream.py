@@ -89,7 +89,7 @@ class RerunStream:
         code = None if self._viewer is None else self._viewer.poll()
         if code:
             raise Error(
-                f"Rerun's viewer ended with code {code}; its messages say why. A file needs no viewer"
+                f"Rerun's viewer ended with code {code}; see its messages. Writing to a file needs no viewer"
             )
         return code == 0
 

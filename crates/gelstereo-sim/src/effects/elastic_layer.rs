@@ -61,11 +61,11 @@ impl Effect for ElasticLayer {
         let name = "effects.elastic_layer.border_pitches";
         check(border <= 64, name, border as f64, "0 to 64")?;
         let (layer, grid, _) = self.cells(gel);
-        let (fine, most) = (grid.cell_mm <= layer.thickness_mm, grid.rows.max(grid.cols));
+        let (fine, side) = (grid.cell_mm <= layer.thickness_mm, grid.rows.max(grid.cols));
         let name = "cell of effects.elastic_layer, gel.pitch_mm / cells_per_pitch,";
         check(fine, name, grid.cell_mm, "at most gel.thickness_mm: raise cells_per_pitch")?;
         let name = "cells of effects.elastic_layer along a side";
-        check(most <= 256, name, most as f64, "at most 256: lower cells_per_pitch or border_pitches")
+        check(side <= 256, name, side as f64, "at most 256: lower cells_per_pitch or border_pitches")
     }
 
     fn bound(&self, facts: &Facts<'_>) -> Bound {

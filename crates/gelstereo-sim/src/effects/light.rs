@@ -47,9 +47,9 @@ impl Effect for UnevenLight {
     }
 
     fn bound(&self, facts: &Facts<'_>) -> Bound {
-        let (least, most) = self.span();
+        let (min_gain, max_gain) = self.span();
         Bound::of_levels(
-            (1.0 - least).max(most - 1.0).max(0.0)
+            (1.0 - min_gain).max(max_gain - 1.0).max(0.0)
                 * (f64::from(facts.scene.gel.bright_level) + facts.grain_levels()),
         )
     }

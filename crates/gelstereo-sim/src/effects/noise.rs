@@ -40,8 +40,8 @@ impl Effect for SensorNoise {
 
     fn bound(&self, facts: &Facts<'_>) -> Bound {
         let _ = facts;
-        let most = quantiles_of(self.sigma_levels * HALF_SIGMA)[QUANTILES - 1];
-        Bound::of_levels(2.0 * f64::from(most))
+        let largest = quantiles_of(self.sigma_levels * HALF_SIGMA)[QUANTILES - 1];
+        Bound::of_levels(2.0 * f64::from(largest))
     }
 
     fn cost_ns(&self, facts: &Facts<'_>) -> f64 {

@@ -58,12 +58,13 @@ impl Effect for Smears {
 
     fn bound(&self, facts: &Facts<'_>) -> Bound {
         let [low, high] = facts.levels();
-        let most = |level: u8, opacity: f64| {
+        let largest_change = |level: u8, opacity: f64| {
             opacity * (f64::from(level) - low).abs().max((f64::from(level) - high).abs())
         };
-        let drawn = if self.random > 0 { most(0, 1.0).max(most(255, 1.0)) } else { 0.0 };
+        let drawn = if self.random > 0 { largest_change(0, 1.0).max(largest_change(255, 1.0)) } else { 0.0 };
         // Overlapping patches each cover their share of what is still visible.
-        let listed = self.patches.iter().map(|patch| most(patch.level, patch.opacity)).fold(0.0, f64::max);
+        let listed =
+            self.patches.iter().map(|patch| largest_change(patch.level, patch.opacity)).fold(0.0, f64::max);
         Bound::of_levels(drawn.max(listed))
     }
 

@@ -34,11 +34,11 @@ impl Default for Specks {
 impl Effect for Specks {
     fn validate(&self, gel: &Gel) -> Result<(), SceneError> {
         let check = SceneError::check;
-        let (count, [least, most]) = (self.count, self.radius_mm);
+        let (count, [min_mm, max_mm]) = (self.count, self.radius_mm);
         check(count <= 10_000, "effects.specks.count", count as f64, "0 to 10000")?;
         let name = "effects.specks.radius_mm";
-        check(least > 0.0 && least <= most, name, least, "above 0, the smaller one first")?;
-        check(most <= 0.5 * gel.pitch_mm, name, most, "at most half of gel.pitch_mm")
+        check(min_mm > 0.0 && min_mm <= max_mm, name, min_mm, "above 0, the smaller one first")?;
+        check(max_mm <= 0.5 * gel.pitch_mm, name, max_mm, "at most half of gel.pitch_mm")
     }
 
     fn bound(&self, facts: &Facts<'_>) -> Bound {
@@ -71,8 +71,8 @@ impl Speck {
             let (row, col) = (stream.below(gel.rows - 1), stream.below(gel.cols - 1));
             let mut within = || 0.5 + OFF_MIDDLE * (2.0 * stream.uniform() - 1.0);
             let within = DVec2::new(within(), within());
-            let [least, most] = specks.radius_mm;
-            let radius_mm = least + (most - least) * stream.uniform();
+            let [min_mm, max_mm] = specks.radius_mm;
+            let radius_mm = min_mm + (max_mm - min_mm) * stream.uniform();
             Self { corner: row * gel.cols + col, within, radius_mm }
         };
         (0..specks.count).map(speck).collect()

@@ -224,7 +224,7 @@ mod tests {
             let (radials, hankel) =
                 (Radials::new(&layer, cell_mm, reach_mm), Hankel::new(&layer, cell_mm, reach_mm));
             let all = |Radial { normal, cross, mean, split }: Radial| [normal, cross, mean, split];
-            let scale = all(hankel.at(0.0)).into_iter().fold(0.0, |most: f64, x| most.max(x.abs()));
+            let scale = all(hankel.at(0.0)).into_iter().fold(0.0, |largest: f64, x| largest.max(x.abs()));
             for k in 0..400 {
                 let r_mm = core::f64::consts::SQRT_2 * reach_mm * f64::from(k) / 400.0;
                 for (found, expected) in all(radials.at(r_mm)).into_iter().zip(all(hankel.at(r_mm))) {

@@ -119,8 +119,8 @@ impl Kernels<'_> {
             self.spectrum(|r, c| across[flat(r, c)], odd, odd, Part::Real),
         ];
         let cells = (4 * self.plane.rows * self.plane.cols) as f64;
-        let most = |spectrum: &[f64]| spectrum.iter().fold(0.0_f64, |most, &x| most.max(x.abs())) * cells;
-        let stiffest = [most(&normal), most(&shear[0]).max(most(&shear[1])) + most(&shear[2])];
+        let peak = |spectrum: &[f64]| spectrum.iter().fold(0.0_f64, |peak, &x| peak.max(x.abs())) * cells;
+        let stiffest = [peak(&normal), peak(&shear[0]).max(peak(&shear[1])) + peak(&shear[2])];
         let stencil = self.stencil(&normal, stiffest[0]);
         Operator { plane: self.plane.clone(), normal, cross, shear, stiffest, stencil }
     }

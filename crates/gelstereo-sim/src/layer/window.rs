@@ -23,11 +23,11 @@ impl Window {
     /// Bounding window of the cells whose height exceeds `-rise` times the greatest height; empty if no
     /// height is positive.
     pub(crate) fn around(heights_mm: &[f64], grid: Grid, rise: f64) -> Self {
-        let deepest = heights_mm.iter().fold(0.0_f64, |most, &height| most.max(height));
-        let least = -rise * deepest;
+        let deepest = heights_mm.iter().fold(0.0_f64, |deepest, &height| deepest.max(height));
+        let threshold = -rise * deepest;
         let (mut low, mut high) = ([usize::MAX; 2], [0; 2]);
         for (row, heights_mm) in heights_mm.chunks_exact(grid.cols).enumerate() {
-            let near = |height: &f64| *height > least;
+            let near = |height: &f64| *height > threshold;
             let (Some(first), Some(last)) =
                 (heights_mm.iter().position(near), heights_mm.iter().rposition(near))
             else {

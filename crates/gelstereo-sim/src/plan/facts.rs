@@ -167,9 +167,9 @@ impl<'a> Facts<'a> {
     pub(crate) fn levels(&self) -> [f64; 2] {
         let (gel, effects) = (&self.scene.gel, &self.scene.effects);
         let [dark, bright] = [f64::from(gel.dark_level), f64::from(gel.bright_level)];
-        let (least, most) = effects.uneven_light.as_ref().map_or((1.0, 1.0), |light| light.span());
+        let (min_gain, max_gain) = effects.uneven_light.as_ref().map_or((1.0, 1.0), |light| light.span());
         let (low, high) = (dark - self.grain_levels(), bright + self.grain_levels());
-        [low * if low > 0.0 { least.min(1.0) } else { most.max(1.0) }, high * most.max(1.0)]
+        [low * if low > 0.0 { min_gain.min(1.0) } else { max_gain.max(1.0) }, high * max_gain.max(1.0)]
     }
 
     /// Upper bound of the distance from a dot's projected centre to its image's centroid: see
@@ -306,10 +306,11 @@ impl Optics {
         // Points farther out are invisible. The columns of the projection's Jacobian are f / z, and f /
         // z times the slope.
         found.slope =
-            found.slope.min(cameras.iter().fold(0.0, |most, camera| most.max(widest_slope(camera))));
+            found.slope.min(cameras.iter().fold(0.0, |largest, camera| largest.max(widest_slope(camera))));
         found.depth_px_per_mm =
             found.depth_px_per_mm.min(found.lateral_px_per_mm * (found.slope + found.tilt));
-        let stretch = cameras.iter().fold(1.0_f64, |most, camera| most.max(stretch(camera, found.slope)));
+        let stretch =
+            cameras.iter().fold(1.0_f64, |largest, camera| largest.max(stretch(camera, found.slope)));
         found.lateral_px_per_mm *= stretch;
         found.depth_px_per_mm *= stretch;
         found.refraction_px *= stretch;
@@ -349,9 +350,9 @@ fn widest_slope(camera: &Camera) -> f64 {
     let (right, bottom) = (camera.width_px as f64 - 0.5, camera.height_px as f64 - 0.5);
     let corners =
         [(-0.5, -0.5), (right, -0.5), (-0.5, bottom), (right, bottom)].map(|(x, y)| DVec2::new(x, y));
-    corners.into_iter().fold(0.0_f64, |most, at| {
+    corners.into_iter().fold(0.0_f64, |largest, at| {
         let plain = (at - DVec2::new(camera.cx_px, camera.cy_px)) / DVec2::new(camera.fx_px, camera.fy_px);
-        most.max(plain.length()).max(camera.undistort(at).map_or(f64::INFINITY, |p| p.length()))
+        largest.max(plain.length()).max(camera.undistort(at).map_or(f64::INFINITY, |p| p.length()))
     })
 }
 

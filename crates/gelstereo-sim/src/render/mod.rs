@@ -254,8 +254,8 @@ fn displacement(light: &UnevenLight, lens: Lens, at: DVec2, size: [usize; 2]) ->
     let size = DVec2::new(size[0] as f64, size[1] as f64);
     // Light that doubles within a pixel is practically zero. Half a sigma exceeds any relevant
     // displacement.
-    let most = 0.5 * lens.sigma_px;
-    -(light.growth(at, size) * lens.variance_px2()).clamp_length_max(most)
+    let max_px = 0.5 * lens.sigma_px;
+    -(light.growth(at, size) * lens.variance_px2()).clamp_length_max(max_px)
 }
 
 impl Ink {

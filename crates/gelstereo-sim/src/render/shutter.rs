@@ -3,7 +3,7 @@
 use alloc::vec::Vec;
 use gelstereo_core::math::{DVec2, ceil, cos};
 
-/// The mean over a path is a sum over pieces of it and over Gauss points within each piece. The blurred
+/// The mean over a path is a sum over segments of it and over Gauss points within each segment. The blurred
 /// image of a dot changes along the path like the integral of a Gaussian. Gauss quadrature converges on
 /// that faster than any power.
 #[derive(Clone, Debug)]
@@ -13,15 +13,15 @@ pub(crate) struct Shutter {
     rules: Vec<Vec<(f64, f64)>>,
 }
 
-/// Longest piece, in sigmas of the lens.
-const PIECE: f64 = 6.0;
+/// Longest segment, in sigmas of the lens.
+const SEGMENT_SIGMAS: f64 = 6.0;
 
-/// Points of the longest piece: see [`pieces`].
+/// Points of the longest segment: see [`segments`].
 const MAX_PLACES: usize = 9;
 
 /// Pieces per pixel of path without a lens, each with one point: higher rules do not help at sharp
-/// edges. A pixel's coverage has a kink where an edge enters or leaves it, once in a piece. The error is
-/// an eighth of a piece's length times the piece's share of the path, 2e-3 at most.
+/// edges. A pixel's coverage has a kink where an edge enters or leaves it, once in a segment. The error is
+/// an eighth of a segment's length times the segment's share of the path, 2e-3 at most.
 const SHARP_PER_PX: f64 = 16.0;
 const MIN_SHARP: f64 = 4.0;
 
@@ -35,27 +35,27 @@ impl Shutter {
 
     /// Number of copies of a dot that are drawn along its path.
     pub(crate) fn times(way_px: f64, sigma_px: Option<f64>) -> usize {
-        let (pieces, places) = pieces(way_px, sigma_px);
-        pieces * places
+        let (segments, places) = segments(way_px, sigma_px);
+        segments * places
     }
 
     /// Calls `draw` for every sample of a path of that length: its position as a share of the path from
     /// the middle, and its weight.
     pub(crate) fn each(&self, way_px: f64, mut draw: impl FnMut(f64, f64)) {
-        let (pieces, places) = pieces(way_px, self.sigma_px);
+        let (segments, places) = segments(way_px, self.sigma_px);
         let Some(rule) = self.rules.get(places - 1) else { return };
-        let piece = 1.0 / pieces as f64;
-        for k in 0..pieces {
-            let middle = (k as f64 + 0.5) * piece - 0.5;
+        let segment = 1.0 / segments as f64;
+        for k in 0..segments {
+            let middle = (k as f64 + 0.5) * segment - 0.5;
             for &(place, weight) in rule {
-                draw(middle + 0.5 * piece * place, weight * piece);
+                draw(middle + 0.5 * segment * place, weight * segment);
             }
         }
     }
 }
 
-/// Number of pieces of a path, and of points within each.
-fn pieces(way_px: f64, sigma_px: Option<f64>) -> (usize, usize) {
+/// Number of segments of a path, and of points within each.
+fn segments(way_px: f64, sigma_px: Option<f64>) -> (usize, usize) {
     let way_px = if way_px < FARTHEST_PX { way_px } else { FARTHEST_PX };
     if way_px == 0.0 {
         return (1, 1);
@@ -64,11 +64,11 @@ fn pieces(way_px: f64, sigma_px: Option<f64>) -> (usize, usize) {
         return (ceil((way_px * SHARP_PER_PX).max(MIN_SHARP)) as usize, 1);
     };
     let sigmas = way_px / sigma_px;
-    let pieces = ceil(sigmas / PIECE).max(1.0);
+    let segments = ceil(sigmas / SEGMENT_SIGMAS).max(1.0);
     // A Gaussian has waves of up to 4 rad per sigma. They take 4 / 4 points per sigma, and some more to
     // converge.
-    let places = ceil(1.5 + 1.2 * sigmas / pieces) as usize;
-    (pieces as usize, places.min(MAX_PLACES))
+    let places = ceil(1.5 + 1.2 * sigmas / segments) as usize;
+    (segments as usize, places.min(MAX_PLACES))
 }
 
 /// Gauss-Legendre rule: roots of Legendre's polynomial by Newton's method, and half of their weights.

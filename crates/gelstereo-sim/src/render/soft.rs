@@ -347,7 +347,7 @@ mod tests {
         ellipses.iter().filter_map(Shape::ellipse).collect()
     }
 
-    fn most(a: &[f32], b: &[f32]) -> f64 {
+    fn largest_difference(a: &[f32], b: &[f32]) -> f64 {
         a.iter().zip(b).map(|(a, b)| f64::from((a - b).abs())).fold(0.0, f64::max)
     }
 
@@ -384,7 +384,7 @@ mod tests {
     #[test]
     fn a_dot_as_wide_as_the_canvas_has_each_column_once() {
         let (ellipse, lens) = (ellipse(18.0, 18.0, 7.58, 0.8, 2.449), Lens { sigma_px: 2.48 });
-        let off = most(&soft(&ellipse, lens), &fine(&shapes(&[ellipse]), lens, None));
+        let off = largest_difference(&soft(&ellipse, lens), &fine(&shapes(&[ellipse]), lens, None));
         assert!(off < tolerance(lens), "{off}");
     }
 
@@ -398,7 +398,7 @@ mod tests {
         ) {
             let (ellipse, lens) = (ellipse(x, y, radius, stretch, turn), Lens { sigma_px });
             let found = soft(&ellipse, lens);
-            let off = most(&found, &fine(&shapes(&[ellipse]), lens, None));
+            let off = largest_difference(&found, &fine(&shapes(&[ellipse]), lens, None));
             prop_assert!(off < tolerance(lens), "{off}");
             // Shares sum to the area, up to the error of the lines within four sigma of the outline.
             // Their centroid is the ellipse's centre. The lines' error, 4e-5 within four sigma on both
@@ -419,7 +419,7 @@ mod tests {
             x in -10.0..58.0, y in -10.0..58.0, radius in 1.0..12.0, sigma_px in 0.6..2.0,
         ) {
             let (ellipse, lens) = (ellipse(x, y, radius, 1.1, 0.3), Lens { sigma_px });
-            let off = most(&soft(&ellipse, lens), &fine(&shapes(&[ellipse]), lens, None));
+            let off = largest_difference(&soft(&ellipse, lens), &fine(&shapes(&[ellipse]), lens, None));
             prop_assert!(off < tolerance(lens), "{off}");
         }
 
@@ -434,9 +434,9 @@ mod tests {
             let mut all = shapes(&[a, b]);
             all.extend(Shape::bar(bar.map(|corner| a.centre_px.lerp(corner, 0.7))));
             // The region's corners are kinks that lines between two heights do not resolve.
-            let off = most(&union(&all, lens), &fine(&all, lens, None));
+            let off = largest_difference(&union(&all, lens), &fine(&all, lens, None));
             prop_assert!(off < 10.0 * tolerance(lens), "{off}");
-            let off = most(&union(&all[..1], lens), &soft(&a, lens));
+            let off = largest_difference(&union(&all[..1], lens), &soft(&a, lens));
             prop_assert!(off < tolerance(lens), "{off}");
         }
 
@@ -455,7 +455,7 @@ mod tests {
             };
             let found: Vec<f32> = soft(&Ellipse { centre_px, ..dot }, lens).iter().enumerate().map(lit).collect();
             let expected = fine(&shapes(&[dot]), lens, Some(&light));
-            let off = most(&found, &expected);
+            let off = largest_difference(&found, &expected);
             prop_assert!(off < 2.0 * tolerance(lens), "{off}");
             let off = (centroid(&found) - centroid(&expected)).length();
             prop_assert!(off < 1e-4, "{off} px");

@@ -150,7 +150,7 @@ impl core::fmt::Display for SceneError {
             }
             Self::MeshNotNeeded => write!(
                 f,
-                "triangles were handed over, but the indenter is no mesh file; use kind = \"mesh\" or leave them out"
+                "triangles were passed, but the indenter is not a mesh file; use kind = \"mesh\" or leave them out"
             ),
         }
     }

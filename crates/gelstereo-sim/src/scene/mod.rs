@@ -307,9 +307,9 @@ impl Scene {
             SceneError::check(turn.abs() <= 1e3, "gel_motion.rotation_rad", turn, "-1000 to 1000 rad")?;
         }
         check_times("gel_motion", self.gel_motion.iter().map(|k| k.time_s))?;
-        let (span, most) = (crate::trajectory::Trajectory::new(self).frames(), 10_000_000);
+        let (span, max_frames) = (crate::trajectory::Trajectory::new(self).frames(), 10_000_000);
         // The frames are listed one by one.
-        let listed = self.effects.dropped_frames.is_none() || span <= most;
+        let listed = self.effects.dropped_frames.is_none() || span <= max_frames;
         SceneError::check(listed, "frames of a scene with dropped_frames", span as f64, "at most 10 million")
     }
 }

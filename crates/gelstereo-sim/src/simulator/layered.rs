@@ -107,8 +107,8 @@ impl Layered {
         if let Some(memory) = memory {
             let [into, along, across] = memory.remembered();
             // The support plate limits the depth as before.
-            let most = contact.layer().thickness_mm;
-            heights.iter_mut().zip(into).for_each(|(height, own)| *height = (*height - own).min(most));
+            let max_mm = contact.layer().thickness_mm;
+            heights.iter_mut().zip(into).for_each(|(height, own)| *height = (*height - own).min(max_mm));
             for (carried, own) in carried.iter_mut().zip([along, across]) {
                 carried.iter_mut().zip(own).for_each(|(carried, own)| *carried -= own);
             }

@@ -199,9 +199,9 @@ fn suggest(path: &str, known: &[String]) -> Vec<String> {
         let shared = candidate.split('.').zip(path.split('.')).take_while(|(a, b)| a == b).count();
         near.then_some((distance, elsewhere, std::cmp::Reverse(shared)))
     };
-    let Some(least) = known.iter().filter_map(cost).min() else { return Vec::new() };
+    let Some(lowest) = known.iter().filter_map(cost).min() else { return Vec::new() };
     let mut near: Vec<String> = Vec::new();
-    for candidate in known.iter().filter(|candidate| cost(candidate) == Some(least)) {
+    for candidate in known.iter().filter(|candidate| cost(candidate) == Some(lowest)) {
         // Several kinds of a table may have the key.
         if !near.contains(candidate) && near.len() < MAX_SUGGESTIONS {
             near.push(candidate.clone());

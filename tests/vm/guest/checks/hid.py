@@ -82,7 +82,7 @@ def a_refused_command_is_named() -> None:
 @check()
 def a_silent_camera_is_a_timeout() -> None:
     error = failure(Tara(silent=True), "exposure")
-    assert "no answer within 2000 ms when the device was to report its exposure" in error, error
+    assert "the device did not report its exposure within 2000 ms" in error, error
 
 
 @check()
