@@ -84,7 +84,7 @@ def test_a_cloud_that_would_take_minutes_is_refused() -> None:
     template = Template.from_triangles(*geometry.shape_mesh(BALL, 0.05))
     cloud = np.repeat(template.points_mm, 20_001 // len(template) + 1, axis=0)
     with pytest.raises(gelstereo.RegisterError, match="valid is up to 20000"):
-        localize(cloud, template, t_sensor_object=np.eye(4))
+        localize(cloud, template, guess=np.eye(4))
 
 
 def turned(max_theta_rad: float) -> FingerKinematics:

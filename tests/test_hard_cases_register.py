@@ -133,12 +133,12 @@ def test_row_06_weights_without_meaning_are_refused(weights: list[float]) -> Non
 @pytest.mark.parametrize("points", [np.empty((0, 3)), np.zeros((1, 3)), np.full((4, 3), np.nan)])
 def test_row_06_patches_without_meaning_are_refused(method: str, points: np.ndarray) -> None:
     with pytest.raises(RegisterError):
-        gelstereo.localize(points, sphere_template(5, 0.5), t_sensor_object=np.eye(4), params=params(method))
+        gelstereo.localize(points, sphere_template(5, 0.5), guess=np.eye(4), params=params(method))
 
 
 def test_row_06_a_patch_out_of_reach_is_told_its_distance() -> None:
     with pytest.raises(RegisterError, match=r"nearest is 1\d\.\d+ mm"):
-        gelstereo.localize(cap(5, 2) + [0, 0, -15], sphere_template(5, 0.5), t_sensor_object=np.eye(4))
+        gelstereo.localize(cap(5, 2) + [0, 0, -15], sphere_template(5, 0.5), guess=np.eye(4))
 
 
 @pytest.mark.parametrize("method", ["filterreg_point", "filterreg_plane"])
@@ -147,10 +147,10 @@ def test_row_09_the_answer_moves_with_the_offset(method: str, offset_mm: float) 
     template, points = sphere_template(5, 0.4), cap(5, 2.5)
     guess = geometry.se3_exp([0.02, -0.03, 0.01, 0.1, -0.2, 0.15])
     shift = np.array([offset_mm, -offset_mm, offset_mm / 2])
-    here = gelstereo.localize(points, template, t_sensor_object=guess, params=params(method))
+    here = gelstereo.localize(points, template, guess=guess, params=params(method))
     far_guess = guess.copy()
     far_guess[:3, 3] += shift
-    far = gelstereo.localize(points + shift, template, t_sensor_object=far_guess, params=params(method))
+    far = gelstereo.localize(points + shift, template, guess=far_guess, params=params(method))
     # Coordinates, and translations of the iterations, are rounded by half an eps of the offset; the weakest determined
     # direction of this patch amplifies that by R / ρ = 3; both runs stop within 1e-3 of the spacing.
     bound = 10 * EPS * offset_mm + 2 * 1e-3 * template.spacing_mm
@@ -162,7 +162,7 @@ def test_row_09_the_answer_moves_with_the_offset(method: str, offset_mm: float) 
 @pytest.mark.parametrize("method", METHODS)
 def test_row_10_a_sphere_leaves_three_rotations(method: str) -> None:
     template, points = sphere_template(5, 0.3), cap(5, 2.5)
-    found = gelstereo.localize(points, template, t_sensor_object=np.eye(4), params=params(method))
+    found = gelstereo.localize(points, template, guess=np.eye(4), params=params(method))
     assert len(found.free) == 3
     assert all("about" in str(direction) for direction in found.free)
     assert np.isfinite(found.information).all()

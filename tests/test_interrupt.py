@@ -118,15 +118,15 @@ PATCH = (
     "patch = np.repeat(points[points[:, 2] < -15.0], 2, axis=0)[:{count}] + [0.2, -0.1, 0.1]; "
     "few = patch[:200]; guess = np.eye(4); params = Params().replace({settings}); "
     "usual = Params().replace(register={{'method': '{method}'}}); "
-    "before = localize(few, template, t_sensor_object=guess, params=usual).digest"
+    "before = localize(few, template, guess=guess, params=usual).digest"
 )
-STILL_REGISTERS = "assert localize(few, template, t_sensor_object=guess, params=usual).digest == before"
+STILL_REGISTERS = "assert localize(few, template, guess=guess, params=usual).digest == before"
 
 
 def registering(method: str, count: int = 20_000, **settings: dict[str, float]) -> tuple[str, str, str]:
     wide = {"register": {"method": method, **settings}}
     setup = PATCH.format(count=count, settings=wide, method=method)
-    return setup, "localize(patch, template, t_sensor_object=guess, params=params)", STILL_REGISTERS
+    return setup, "localize(patch, template, guess=guess, params=params)", STILL_REGISTERS
 
 
 SAMPLES = {
@@ -156,7 +156,7 @@ LOCALIZER = (
         },
         method="surface_search",
     )
-    + "; localizer = Localizer(template, t_sensor_object=guess, params=params)",
+    + "; localizer = Localizer(template, guess=guess, params=params)",
     "[localizer.process(patch) for _ in range(20)]",
     "assert localizer.process(few) is not None",
 )

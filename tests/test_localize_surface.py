@@ -43,7 +43,7 @@ def test_a_far_guess_finds_a_corner_with_every_marker(template: Template) -> Non
     found = localize(
         salient,
         template,
-        t_sensor_object=guess,
+        guess=guess,
         all_points_mm=everything,
         covariance_mm2=covariance,
         params=SEARCH,
@@ -64,9 +64,9 @@ def test_a_far_guess_finds_a_corner_with_every_marker(template: Template) -> Non
 def test_what_the_surface_methods_refuse(template: Template) -> None:
     truth, salient, _ = corner(0.0)
     with pytest.raises(RegisterError, match="covariances"):
-        localize(salient, template, t_sensor_object=truth, covariance_mm2=np.eye(3)[None], params=SEARCH)
+        localize(salient, template, guess=truth, covariance_mm2=np.eye(3)[None], params=SEARCH)
     with pytest.raises(ShapeError, match=r"valid is \(N, 3, 3\)"):
-        localize(salient, template, t_sensor_object=truth, covariance_mm2=np.eye(3), params=SEARCH)
+        localize(salient, template, guess=truth, covariance_mm2=np.eye(3), params=SEARCH)
 
 
 def test_a_template_of_points_is_as_good_as_its_mesh(template: Template) -> None:
@@ -74,7 +74,7 @@ def test_a_template_of_points_is_as_good_as_its_mesh(template: Template) -> None
     guess = truth @ se3_exp([0.1, -0.1, 0.1, 0.5, -0.5, 0.4])
     scan = Template.from_points(template.points_mm, template.normals, template.spacing_mm)
     assert scan.surface is None
-    found = localize(salient, scan, t_sensor_object=guess, all_points_mm=everything, params=SEARCH)
+    found = localize(salient, scan, guess=guess, all_points_mm=everything, params=SEARCH)
     error = np.array(se3_log(np.linalg.inv(found.t_sensor_object) @ truth))
     assert np.linalg.norm(error[:3]) < np.deg2rad(2.0) and found.log_odds > 0
 
@@ -100,7 +100,7 @@ def test_row_50_a_patch_is_registered_whichever_way_it_was_pressed(
     turn = np.array(se3_exp([*np.random.default_rng(seed).uniform(-3.0, 3.0, 3), 0.0, 0.0, 0.0]))
     guess = turn @ truth @ se3_exp([0.05, -0.05, 0.05, 0.3, -0.3, 0.3])
     turned, way = salient @ turn[:3, :3].T, -2.0 * turn[:3, 2]
-    found = localize(turned, template, t_sensor_object=guess, params=params, press_direction=way)
+    found = localize(turned, template, guess=guess, params=params, press_direction=way)
     # The face lies on the patch, to the noise of 0.02 mm; a marker at a corner may hang by some sigma.
     back = (turned - found.t_sensor_object[:3, 3]) @ found.t_sensor_object[:3, :3]
     distances = template.closest(back).distances_mm
@@ -118,6 +118,6 @@ def test_row_50_a_patch_that_lies_across_the_press_is_refused(
         turned, guess = salient @ turn[:3, :3].T, turn @ truth
         params = SEARCH.replace({"register.method": method})
         with pytest.raises(RegisterError, match=r"valid is up to 60: hand over press_direction"):
-            localize(turned, template, t_sensor_object=guess, params=params)
+            localize(turned, template, guess=guess, params=params)
     with pytest.raises(RegisterError, match="no unit vector"):
-        localize(salient, template, t_sensor_object=truth, params=SEARCH, press_direction=(0.0, 0.0, 0.0))
+        localize(salient, template, guess=truth, params=SEARCH, press_direction=(0.0, 0.0, 0.0))

@@ -42,7 +42,7 @@ class Pressed:
         return localize(
             self.points_mm[self.salient],
             template,
-            t_sensor_object=guess,
+            guess=guess,
             all_points_mm=self.points_mm if every else None,
             covariance_mm2=np.tile(np.diag([0.25, 0.25, 1.0]) * SIGMA_MM**2, (count, 1, 1)),
             # This gel comes back to rest at once beside the part.

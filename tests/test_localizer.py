@@ -26,7 +26,7 @@ def test_a_part_is_found_followed_lost_and_found_again(box: Template, method: st
     truth, salient, everything = corner(0.02)
     params = Params().replace({"register.method": method})
     guess = truth @ se3_exp([0.1, -0.1, 0.1, 0.5, -0.5, 0.4])
-    localizer = Localizer(box, t_sensor_object=guess, params=params)
+    localizer = Localizer(box, guess=guess, params=params)
     assert localizer.template is box and localizer.t_sensor_object is None
     found = localizer.process(salient, all_points_mm=everything)
     assert (
@@ -58,9 +58,9 @@ def test_a_part_is_found_followed_lost_and_found_again(box: Template, method: st
 def test_one_contact_has_no_standing(box: Template) -> None:
     truth, salient, _ = corner(0.02)
     close = Params().replace({"register.method": "surface_close"})
-    found = localize(salient, box, t_sensor_object=truth, params=close)
+    found = localize(salient, box, guess=truth, params=close)
     assert found.tracking is None and found.misfit is None and found.log_odds > 0
-    assert localize(salient, box, t_sensor_object=truth).log_odds is None
+    assert localize(salient, box, guess=truth).log_odds is None
 
 
 def test_a_declared_symmetry_gives_the_copy_nearest_to_the_guess(box: Template) -> None:
@@ -73,7 +73,7 @@ def test_a_declared_symmetry_gives_the_copy_nearest_to_the_guess(box: Template) 
         found = localize(
             salient,
             two,
-            t_sensor_object=truth @ copy @ se3_exp([0.1, 0.0, 0.1, 0.5, 0.0, 0.0]),
+            guess=truth @ copy @ se3_exp([0.1, 0.0, 0.1, 0.5, 0.0, 0.0]),
             all_points_mm=everything,
             params=search,
         )
@@ -87,7 +87,7 @@ def test_the_misfit_is_told_where_the_gel_is_asked(box: Template, decay_mm: floa
     truth, salient, everything = corner(0.02)
     # Beside the box it is at rest at once: another gel than one of 2 mm, and one of 0.1 mm is not asked.
     params = Params().replace({"contact.decay_mm": decay_mm})
-    localizer = Localizer(box, t_sensor_object=truth, params=params)
+    localizer = Localizer(box, guess=truth, params=params)
     for tracking in ("relocalized", "tracking"):
         found = localizer.process(salient, all_points_mm=everything)
         assert found.tracking == tracking
@@ -102,7 +102,7 @@ def test_salient_points_that_are_not_among_all_markers_are_told_of(box: Template
         "left out": (everything[~(everything == salient[5]).all(axis=1)], 1),
         "none": (np.empty((0, 3)), len(salient)),
     }[how]
-    localizer = Localizer(box, t_sensor_object=truth)
+    localizer = Localizer(box, guess=truth)
     first = 5 if count == 1 else 0
     told = (
         f"^{count} of {len(salient)} salient points are not among the {len(markers)} markers.* point {first};"
@@ -110,7 +110,7 @@ def test_salient_points_that_are_not_among_all_markers_are_told_of(box: Template
     with pytest.raises(RegisterError, match=told):
         localizer.process(salient, all_points_mm=markers)
     with pytest.raises(RegisterError, match="give all markers of the same frame"):
-        localize(salient, box, t_sensor_object=truth, all_points_mm=markers)
+        localize(salient, box, guess=truth, all_points_mm=markers)
     assert localizer.process(salient[::-1], all_points_mm=everything).tracking == "relocalized"
 
 
@@ -123,6 +123,6 @@ def test_a_guess_that_is_not_finite_is_told_where(box: Template) -> None:
         row, column = min(entries)
         told = f"t_sensor_object: {len(entries)} of 16 entries are NaN.* row {row}, column {column}: NaN"
         with pytest.raises(PoseError, match=told):
-            localize(salient, box, t_sensor_object=guess)
+            localize(salient, box, guess=guess)
         with pytest.raises(PoseError, match=told):
-            Localizer(box, t_sensor_object=guess)
+            Localizer(box, guess=guess)

@@ -43,12 +43,12 @@ def test_a_localization(frame: gs.Frame, method: str) -> None:
     template = gs.Template.from_mesh(trimesh.creation.icosphere(4, 4.0), units="mm")
     guess = np.asarray(se3_exp([0.0, 0.0, 0.0, 4.0, 0.2, 31.5]))
     params = gs.Params().replace({"register.method": method})
-    found = gs.localize(frame.patch_points_mm, template, t_sensor_object=guess, params=params)
+    found = gs.localize(frame.patch_points_mm, template, guess=guess, params=params)
     copied = again(found)
     assert copied.digest == found.digest and repr(copied) == repr(found)
     assert [str(free) for free in copied.free] == [str(free) for free in found.free]
 
-    localizer = gs.Localizer(template, t_sensor_object=guess)
+    localizer = gs.Localizer(template, guess=guess)
     found = localizer.process(frame.patch_points_mm)
     assert again(found).tracking == found.tracking
 
@@ -83,7 +83,7 @@ def test_a_scene_finds_its_mesh_beside_its_file(tmp_path: Path) -> None:
 def located(job: tuple[gs.Frame, gs.Template]) -> gs.Localization:
     frame, template = job
     guess = np.asarray(se3_exp([0.0, 0.0, 0.0, 4.0, 0.2, 31.5]))
-    return gs.localize(frame.patch_points_mm, template, t_sensor_object=guess)
+    return gs.localize(frame.patch_points_mm, template, guess=guess)
 
 
 def test_another_process_gives_the_same_bits(frame: gs.Frame) -> None:

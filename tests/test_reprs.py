@@ -41,7 +41,7 @@ def test_reprs_say_figures_with_units(noisy_press: list[gs.SimulatedFrame], tmp_
     template = gs.Template.from_triangles(
         *gs.geometry.shape_mesh({"kind": "box", "size_mm": [4.0, 5.0, 6.0]}), spacing_mm=0.5
     )
-    localizer = gs.Localizer(template, t_sensor_object=np.eye(4))
+    localizer = gs.Localizer(template, guess=np.eye(4))
     words = {
         "<Detector: dark dots of 6 to 2000 px²>": gs.Detector(),
         "<RestSurface: 625 markers about": rest,

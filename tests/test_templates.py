@@ -146,7 +146,7 @@ def test_localize_finds_a_corner_within_its_own_covariance(box: trimesh.Trimesh)
     noise_mm = 0.03
     params = PLANE.replace({"register.point_sigma_mm": noise_mm})
     points = board_contact(truth, noise_mm)
-    found = localize(points, template, t_sensor_object=guess, params=params)
+    found = localize(points, template, guess=guess, params=params)
     assert found.converged
     assert found.free == ()
     assert found.points == 300
@@ -157,7 +157,7 @@ def test_localize_finds_a_corner_within_its_own_covariance(box: trimesh.Trimesh)
     # Squared Mahalanobis distance of six dimensions: 99.99 % lie below 27.9; a sampled template adds its own error
     # of up to the share of the spacing, so twice the deviation is granted.
     assert twist @ found.information @ twist < 4 * 27.9
-    again = localize(points, template, t_sensor_object=guess, params=params)
+    again = localize(points, template, guess=guess, params=params)
     assert again.digest == found.digest
 
 
@@ -168,7 +168,7 @@ def test_localize_names_what_a_cylinder_leaves_free() -> None:
     points = np.column_stack([4 * np.cos(angle), 4 * np.sin(angle), height]) + 0.01 * rng.normal(
         size=(200, 3)
     )
-    found = localize(points, template, t_sensor_object=se3_exp([0.01, 0.01, 0, 0.1, 0.1, 0]), params=PLANE)
+    found = localize(points, template, guess=se3_exp([0.01, 0.01, 0, 0.1, 0.1, 0]), params=PLANE)
     words = [str(direction) for direction in found.free]
     assert [text.split()[:3] for text in words] == [["slide", "along", "z"], ["spin", "about", "z"]]
     slide, spin = found.free
@@ -189,7 +189,7 @@ guess = geometry.se3_exp([0.01, -0.02, 0.03, 0.3, -0.2, 0.1])
 methods = [Params().replace({"register.method": name})
            for name in ("filterreg_point", "filterreg_plane", "ransac_icp")]
 def digests(points=points):
-    return [localize(points, template, t_sensor_object=guess, params=params).digest for params in methods]
+    return [localize(points, template, guess=guess, params=params).digest for params in methods]
 """
 
 
@@ -214,11 +214,11 @@ def test_row_06_patches_that_cannot_be_registered(box: trimesh.Trimesh) -> None:
     template = Template.from_mesh(box, units="mm", spacing_mm=1.0)
     for points in (np.empty((0, 3)), np.zeros((1, 3)), np.full((20, 3), np.nan), np.full((20, 3), 1e6)):
         with pytest.raises(RegisterError):
-            localize(points, template, t_sensor_object=np.eye(4))
+            localize(points, template, guess=np.eye(4))
     with pytest.raises(TypeError, match="t_sensor_object"):
         localize(np.zeros((10, 3)), template)  # type: ignore[call-arg]
     with pytest.raises(ShapeError, match=r"t_sensor_object has the shape \(3, 3\); valid is \(4, 4\)"):
-        localize(np.zeros((10, 3)), template, t_sensor_object=np.eye(3))
+        localize(np.zeros((10, 3)), template, guess=np.eye(3))
 
 
 def test_faces_that_are_inside_out_are_turned_and_said(box: trimesh.Trimesh, tmp_path: Path) -> None:
@@ -249,7 +249,7 @@ def test_a_scan_with_noise_and_a_hole_is_told_of_and_used() -> None:
     assert np.abs(template.closest(points).distances_mm).max() < 0.1
     guess = np.eye(4)
     guess[:3, 3] = 0.2
-    found = localize(points[:200], template, t_sensor_object=guess, params=PLANE)
+    found = localize(points[:200], template, guess=guess, params=PLANE)
     assert found.rmse_mm < 0.03
 
 
@@ -441,7 +441,7 @@ def test_a_scan_of_points_is_thinned_and_localized(tmp_path: Path) -> None:
     guess[:3, 3] = [0.1, -0.2, 0.15]
     for method in ("filterreg_plane", "surface_close"):
         params = Params().replace({"register.method": method})
-        found = localize(cap, template, t_sensor_object=guess, params=params)
+        found = localize(cap, template, guess=guess, params=params)
         centre_mm = (
             np.linalg.inv(found.t_sensor_object)[:3, :3].T @ np.zeros(3) + found.t_sensor_object[:3, 3]
         )

@@ -168,7 +168,7 @@ def registered(one: Judged, template: Template, guess: Array, params: Params) ->
         return localize(
             grasp.points_mm,
             template,
-            t_sensor_object=guess,
+            guess=guess,
             all_points_mm=grasp.all_points_mm,
             covariance_mm2=grasp.covariance_mm2,
             params=params,

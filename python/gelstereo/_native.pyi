@@ -162,6 +162,7 @@ class Params:
 
 @final
 class Rig:
+    def _repr_html_(self) -> str: ...
     @classmethod
     def parallel(
         cls,
@@ -348,6 +349,7 @@ class ViewEvidence:
 
 @final
 class Frame:
+    def _repr_html_(self) -> str: ...
     @property
     def index(self) -> int: ...
     @property
@@ -603,6 +605,7 @@ class FreeDirection:
 
 @final
 class Localization:
+    def _repr_html_(self) -> str: ...
     @property
     def t_sensor_object(self) -> _Floats: ...
     @property
@@ -628,6 +631,9 @@ class Localization:
     @property
     def verdict(self) -> Literal["fits", "unsure", "does_not_fit"]: ...
     @property
+    def model(self) -> Literal["samples", "surface", "gel"]: ...
+    def sigma_at(self, point_mm: npt.ArrayLike | None = None) -> _Floats: ...
+    @property
     def log_odds(self) -> float | None: ...
     @property
     def gel_decay_mm(self) -> float | None: ...
@@ -651,7 +657,7 @@ class Localizer:
         cls,
         template: Template,
         *,
-        t_sensor_object: npt.ArrayLike,
+        guess: npt.ArrayLike,
         params: Params | None = None,
         press_direction: npt.ArrayLike | None = None,
     ) -> Localizer: ...
@@ -659,20 +665,20 @@ class Localizer:
     def template(self) -> Template: ...
     @property
     def t_sensor_object(self) -> _Floats | None: ...
-    def expect(self, t_sensor_object: npt.ArrayLike) -> None: ...
+    def expect(self, guess: npt.ArrayLike) -> None: ...
     def process(
         self,
-        points_mm: npt.ArrayLike,
+        contact: Frame | npt.ArrayLike,
         *,
         all_points_mm: npt.ArrayLike | None = None,
         covariance_mm2: npt.ArrayLike | None = None,
     ) -> Localization: ...
 
 def localize(
-    points_mm: npt.ArrayLike,
+    contact: Frame | npt.ArrayLike,
     template: Template,
     *,
-    t_sensor_object: npt.ArrayLike,
+    guess: npt.ArrayLike,
     all_points_mm: npt.ArrayLike | None = None,
     covariance_mm2: npt.ArrayLike | None = None,
     params: Params | None = None,

@@ -3,11 +3,31 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from gelstereo._native import Plan, Scene, Simulator
+from gelstereo._native import Plan, Scene, SceneError, Simulator
+
+
+#: Scenes that come with the package.
+SCENES = Path(__file__).parent / "scenes"
+
+
+def shipped_scene(name: str) -> Path:
+    """The file of a scene that comes with the package.
+
+    Raises
+    ------
+    SceneError
+        If there is none of that name; the message lists them.
+    """
+    path = SCENES / f"{name}.toml"
+    if not path.is_file():
+        names = ", ".join(sorted(file.stem for file in SCENES.glob("*.toml")))
+        raise SceneError(f"no scene {name!r} comes with gelstereo; valid is one of {names}, or a path to a TOML file")
+    return path
 
 
 def simulate(scene: Scene | str | Path | Mapping[str, Any]) -> Simulator:
@@ -16,8 +36,9 @@ def simulate(scene: Scene | str | Path | Mapping[str, Any]) -> Simulator:
     Parameters
     ----------
     scene
-        A `Scene`; a path to a TOML file (a ``Path``, or a ``str`` that ends in ``.toml``); TOML text; or a mapping of
-        settings, nested or with dotted names, that replace those of the default scene.
+        A `Scene`; the name of a scene that comes with the package, such as ``"grasp_cylinder"``; a path to a TOML
+        file (a ``Path``, or a ``str`` that ends in ``.toml``); TOML text; or a mapping of settings, nested or with
+        dotted names, that replace those of the default scene.
 
     Returns
     -------
@@ -32,6 +53,8 @@ def simulate(scene: Scene | str | Path | Mapping[str, Any]) -> Simulator:
     OSError
         If the file cannot be read.
     """
+    if isinstance(scene, str) and re.fullmatch(r"\w+", scene):
+        scene = shipped_scene(scene)
     if isinstance(scene, Path) or (isinstance(scene, str) and scene.strip().endswith(".toml")):
         scene = Scene.load(scene)
     elif isinstance(scene, str):

@@ -166,14 +166,7 @@ def _method(
         "both": int((touching & salient).sum()),
     }
     try:
-        found = localize(
-            frame.patch_points_mm,
-            grasp.template,
-            t_sensor_object=guess,
-            all_points_mm=frame.points_mm,
-            covariance_mm2=frame.covariance_mm2[frame.patch],
-            params=params,
-        )
+        found = localize(frame, grasp.template, guess=guess, params=params)
     except Error as error:
         return out | {"refused": str(error)}
     score = grasp.score(found.t_sensor_object)

@@ -162,7 +162,7 @@ class Grasp:
         return localize(
             self.points_mm,
             self.template,
-            t_sensor_object=guess,
+            guess=guess,
             all_points_mm=self.all_points_mm,
             covariance_mm2=self.covariance_mm2,
             params=params,

@@ -158,7 +158,7 @@ def _one_of(method: Method, patches: list[Patch]) -> Callable[[int], object]:
 def _native(rung: Rung) -> Method:
     params = rung.params()
     return lambda patch, guess: (
-        localize(patch.points_mm, patch.template, t_sensor_object=guess, params=params).t_sensor_object
+        localize(patch.points_mm, patch.template, guess=guess, params=params).t_sensor_object
     )
 
 

@@ -149,7 +149,7 @@ def register_part(
             continue
         contact = found[frame][part.contact]
         points_mm = recording.points_mm[frame][contact.core]
-        result = localize(points_mm, template, t_sensor_object=part.guess(points_mm), params=params)
+        result = localize(points_mm, template, guess=part.guess(points_mm), params=params)
         residual_mm = _residual_mm(points_mm, template, result.t_sensor_object)
         registered.append(Registered(frame, points_mm, contact.depth_mm, result, residual_mm))
     return registered

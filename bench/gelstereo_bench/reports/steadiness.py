@@ -61,7 +61,7 @@ def scatter_by_noise(
     """Register one pressed frame with the noise (markers, 3) of many others."""
     params = _params(method)
     found = [
-        localize(points_mm + noise, template, t_sensor_object=guess, params=params) for noise in noise_mm
+        localize(points_mm + noise, template, guess=guess, params=params) for noise in noise_mm
     ]
     twists = _twists(found, points_mm.mean(axis=0))
     return _steadiness(found, twists - twists.mean(axis=0), points_mm, len(found) - 1.0, sigma_mm)
@@ -72,7 +72,7 @@ def scatter_over_time(
 ) -> Steadiness:
     """Register frames (frames, markers, 3) of a part that hardly moves; a parabola over time is removed."""
     params = _params(method)
-    found = [localize(p, template, t_sensor_object=guess, params=params) for p in points_mm]
+    found = [localize(p, template, guess=guess, params=params) for p in points_mm]
     centre = points_mm.mean(axis=(0, 1))
     left = _without_parabola(_twists(found, centre))
     freedom = float(np.trace(detrended_covariance(window, len(found))))

@@ -19,6 +19,7 @@ mod interrupt;
 mod lattice;
 mod layer;
 mod localizer;
+mod notebook;
 mod params;
 mod pickle;
 mod pipeline;

@@ -2,7 +2,7 @@
 
 use crate::arrays::{self, Matrix};
 use crate::params::Params;
-use crate::register::{Gel, Localization, with_contact};
+use crate::register::{Gel, Given, Localization};
 use crate::template::Template;
 use gelstereo_core::params::RegisterMethod;
 use gelstereo_core::register as core;
@@ -28,7 +28,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 /// ----------
 /// template : Template
 ///     Of a mesh.
-/// t_sensor_object : (4, 4) array_like
+/// guess : (4, 4) array_like
 ///     Expected pose of the part; maps object coordinates to sensor coordinates.
 /// params : Params, optional
 ///     Its ``register`` part is used, and ``contact.decay_mm``.
@@ -39,10 +39,9 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 /// --------
 /// ::
 ///
-///     localizer = Localizer(template, t_sensor_object=guess)
+///     localizer = Localizer(template, guess=guess)
 ///     for left, right in camera:
-///         frame = pipeline.process(left, right)
-///         found = localizer.process(frame.patch_points_mm, all_points_mm=frame.points_mm)
+///         found = localizer.process(pipeline.process(left, right))
 ///         if found.tracking == "lost":
 ///             ...
 #[pyclass(frozen, module = "gelstereo")]
@@ -61,14 +60,14 @@ impl Localizer {
 #[pymethods]
 impl Localizer {
     #[new]
-    #[pyo3(signature = (template, *, t_sensor_object, params=None, press_direction=None))]
+    #[pyo3(signature = (template, *, guess, params=None, press_direction=None))]
     fn new(
         template: Py<Template>,
-        t_sensor_object: &Bound<'_, PyAny>,
+        guess: &Bound<'_, PyAny>,
         params: Option<&Bound<'_, Params>>,
         press_direction: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Self> {
-        let expected = arrays::pose(t_sensor_object, "t_sensor_object")?;
+        let expected = arrays::pose(guess, "guess")?;
         let params = Params::or_default(params);
         let stage = core::Localizer::new(&params.register, &expected);
         Ok(Self { stage: Mutex::new(stage), gel: Gel::new(&params, press_direction)?, template })
@@ -97,9 +96,9 @@ impl Localizer {
     ///
     /// Parameters
     /// ----------
-    /// t_sensor_object : (4, 4) array_like
-    fn expect(&self, py: Python<'_>, t_sensor_object: &Bound<'_, PyAny>) -> PyResult<()> {
-        let expected = arrays::pose(t_sensor_object, "t_sensor_object")?;
+    /// guess : (4, 4) array_like
+    fn expect(&self, py: Python<'_>, guess: &Bound<'_, PyAny>) -> PyResult<()> {
+        let expected = arrays::pose(guess, "guess")?;
         py.detach(|| self.lock().expect(&expected));
         Ok(())
     }
@@ -108,7 +107,7 @@ impl Localizer {
     ///
     /// Parameters
     /// ----------
-    /// points_mm : (N, 3) array_like
+    /// contact : Frame or (N, 3) array_like
     /// all_points_mm : (M, 3) array_like, optional
     /// covariance_mm2 : (N, 3, 3) or (N, 9) array_like, optional
     ///
@@ -121,11 +120,11 @@ impl Localizer {
     /// ------
     /// RegisterError
     ///     If nothing can be registered, for example without contact. The last pose is kept.
-    #[pyo3(signature = (points_mm, *, all_points_mm=None, covariance_mm2=None))]
+    #[pyo3(signature = (contact, *, all_points_mm=None, covariance_mm2=None))]
     fn process(
         &self,
         py: Python<'_>,
-        points_mm: &Bound<'_, PyAny>,
+        contact: &Bound<'_, PyAny>,
         all_points_mm: Option<&Bound<'_, PyAny>>,
         covariance_mm2: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Localization> {
@@ -134,10 +133,11 @@ impl Localizer {
             |contact: &core::Contact<'_>, stop: Stop<'_>| self.lock().run_unless(contact, template, stop);
         // A lost part is searched for.
         let method = RegisterMethod::SurfaceSearch;
-        let markers = (points_mm, all_points_mm, covariance_mm2);
-        let located = with_contact(py, markers, method, self.gel, run)?;
+        let given = Given { contact, all_points_mm, covariance_mm2 };
+        let (located, model) = given.register(py, method, self.gel, run)?;
         Ok(Localization {
             found: located.registration,
+            model,
             tracking: Some(located.tracking),
             misfit: located.misfit.map(|misfit| misfit.mean),
         })

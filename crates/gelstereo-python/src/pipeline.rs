@@ -3,6 +3,7 @@
 use crate::arrays::{self, Array1, Image, Matrix};
 use crate::contact::{RestSurface, RuleName, rule_name};
 use crate::errors::{PitchWarning, raise};
+use crate::notebook;
 use crate::params::Params;
 use crate::pickle;
 use crate::rest_record::RestRecord;
@@ -130,6 +131,10 @@ pub struct Frame {
 }
 
 impl Frame {
+    pub const fn core(&self) -> &core::Frame {
+        &self.core
+    }
+
     fn new(py: Python<'_>, frame: core::Frame) -> PyResult<Self> {
         let digest = frame.digest();
         let mut patch_points = Vec::new();
@@ -164,6 +169,11 @@ impl Frame {
 
 #[pymethods]
 impl Frame {
+    /// HTML for notebooks.
+    fn _repr_html_(slf: &Bound<'_, Self>) -> PyResult<String> {
+        notebook::html(slf.as_any(), "frame_html")
+    }
+
     fn __repr__(&self, py: Python<'_>) -> PyResult<String> {
         let markers = self.state.bind(py).len()?;
         let patch = self.patch_points_mm.bind(py).len()?;

@@ -3,15 +3,20 @@
 use crate::arrays::{self, Array1, Matrix, Numbers};
 use crate::errors::{RegisterError, raise};
 use crate::interrupt::stoppable;
+use crate::notebook;
 use crate::params::Params;
 use crate::pickle;
+use crate::pipeline::Frame;
 use crate::template::Template;
 use gelstereo_core::math::{DVec3, sqrt};
 use gelstereo_core::params::{RegisterMethod, RegisterParams};
+use gelstereo_core::pipeline::Touch;
 use gelstereo_core::register as core;
 use gelstereo_core::stop::Stop;
+use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use pyo3::types::{PyTuple, PyType};
+use serde::{Deserialize, Serialize};
 use std::cell::RefCell;
 
 /// A free direction: a motion that the contact does not determine, in the object's frame. ``str()``
@@ -61,6 +66,7 @@ impl FreeDirection {
 #[pyclass(frozen, module = "gelstereo")]
 pub struct Localization {
     pub found: core::Registration,
+    pub model: Model,
     pub tracking: Option<core::TrackingStatus>,
     pub misfit: Option<f64>,
 }
@@ -152,6 +158,43 @@ impl Localization {
         self.found.verdict.name()
     }
 
+    /// What the registration could use. ``"samples"``: the template's samples, as the paper's methods do.
+    /// ``"surface"``: the part's exact surface. ``"gel"``: the part's surface and all markers, with the model of
+    /// the gel beside the part where that explains the markers better; only ``surface_search`` does so, with a
+    /// frame or `all_points_mm`.
+    #[getter]
+    const fn model(&self) -> &'static str {
+        self.model.name()
+    }
+
+    /// Standard deviations of the pose at a point of the part.
+    ///
+    /// The diagonal of `covariance` is about the camera: a small turn moves a part that is 30 mm away. This is
+    /// the uncertainty of where the point is.
+    ///
+    /// Parameters
+    /// ----------
+    /// point_mm : (3,) array_like, optional
+    ///     In the object's frame; its origin if left out.
+    ///
+    /// Returns
+    /// -------
+    /// (6,) float64
+    ///     Of the part's turn about the sensor's x, y and z axes (rad), and of the point's position along them (mm).
+    ///
+    /// Raises
+    /// ------
+    /// ShapeError
+    ///     If `point_mm` is no vector of three numbers.
+    #[pyo3(signature = (point_mm=None))]
+    fn sigma_at(&self, py: Python<'_>, point_mm: Option<&Bound<'_, PyAny>>) -> PyResult<Array1<f64>> {
+        let point_mm = match point_mm {
+            None => DVec3::ZERO,
+            Some(given) => DVec3::from_array(Numbers::new(given, "point_mm")?.vector::<3>()?),
+        };
+        Ok(arrays::list(py, self.found.sigma_at(point_mm).to_vec()))
+    }
+
     /// Log evidence ratio of the part at this pose against anything else, with equal priors; None except
     /// for the surface methods. At 0 or below, the pose does not explain the contact: the part is
     /// elsewhere, or it is another part. For ``surface_search`` it includes a penalty for choosing the
@@ -221,19 +264,29 @@ impl Localization {
 
     #[classmethod]
     fn _from_bytes(_cls: &Bound<'_, PyType>, data: &[u8]) -> PyResult<Self> {
-        let (found, tracking, misfit) = pickle::from_bytes(data, "Localization")?;
-        Ok(Self { found, tracking, misfit })
+        let (found, model, tracking, misfit) = pickle::from_bytes(data, "Localization")?;
+        Ok(Self { found, model, tracking, misfit })
     }
 
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<pickle::Reduced<'py>> {
-        let Self { found, tracking, misfit } = slf.get();
-        pickle::reduce(slf, "_from_bytes", &pickle::to_bytes(&(found, tracking, misfit))?)
+        let Self { found, model, tracking, misfit } = slf.get();
+        pickle::reduce(slf, "_from_bytes", &pickle::to_bytes(&(found, model, tracking, misfit))?)
+    }
+
+    /// HTML for notebooks.
+    fn _repr_html_(slf: &Bound<'_, Self>) -> PyResult<String> {
+        notebook::html(slf.as_any(), "localization_html")
     }
 
     fn __repr__(&self) -> String {
+        let fit = match self.found.verdict {
+            core::Verdict::Fits => "fits",
+            core::Verdict::Unsure => "unsure",
+            core::Verdict::DoesNotFit => "does not fit",
+        };
         let end = if self.found.converged { "converged" } else { "not converged" };
         format!(
-            "<Localization: {end} after {} iterations, {} of {} points within reach, rmse {:.4} mm, {} free \
+            "<Localization: {fit}, {end} after {} iterations, {} of {} points within reach, rmse {:.4} mm, {} free \
              directions>",
             self.found.iterations,
             self.found.inliers,
@@ -247,25 +300,28 @@ impl Localization {
 /// Largest number of points, registered in seconds. A density above the template's adds no information.
 const MAX_POINTS: usize = 20_000;
 
-/// Register a contact patch to a part's template, to find the part's pose.
+/// Register a contact to a part's template, to find the part's pose.
 ///
 /// Parameters
 /// ----------
-/// points_mm : (N, 3) array_like
-///     Points on the part's surface, sensor frame: `Frame.patch_points_mm`. At most 20000.
+/// contact : Frame or (N, 3) array_like
+///     A frame of `Pipeline.process`: its contact patch with covariances, and all other markers that are seen.
+///     Or points on the part's surface alone, sensor frame, at most 20000; `Localization.model` then tells
+///     what could be used.
 /// template : Template
-/// t_sensor_object : (4, 4) array_like
-///     Initial guess; maps object coordinates to sensor coordinates.
+/// guess : (4, 4) array_like
+///     Approximate pose; maps object coordinates to sensor coordinates. How far it may be off is set by
+///     ``register.start_sigma_deg`` and ``register.start_sigma_mm``.
 /// all_points_mm : (M, 3) array_like, optional
-///     All markers' points, those of `points_mm` among them, bit for bit. The methods on the part's surface
-///     (``register.method`` "surface_track", "surface_close", "surface_search"; they need a template of a
-///     mesh) use the fact that the part is not between the other markers and the camera. Other methods ignore
-///     these points.
+///     With points: all markers' points, those of `contact` among them, bit for bit. The methods on the part's
+///     surface (``register.method`` "surface_close", "surface_search"; they need a template of a mesh) use the
+///     fact that the part is not between the other markers and the camera, and "surface_search" the gel's model.
+///     Other methods ignore them. Not with a frame, which has them.
 /// covariance_mm2 : (N, 3, 3) or (N, 9) array_like, optional
-///     Covariance of each of `points_mm`, for the same methods. Default: ``register.point_sigma_mm`` for all
-///     points.
+///     With points: covariance of each, for the same methods. Default: ``register.point_sigma_mm`` for all. Not
+///     with a frame.
 /// params : Params, optional
-///     Its ``register`` part is used, and ``contact.decay_mm``.
+///     Its ``register`` part is used; with points also ``contact.decay_mm``, which a frame has.
 /// press_direction : (3,) array_like, optional
 ///     Direction from the part into the gel, sensor frame, of any length. Default: towards the camera, (0, 0,
 ///     -1). Only faces towards this direction can be in contact. Used by the methods on the part's surface.
@@ -277,24 +333,24 @@ const MAX_POINTS: usize = 20_000;
 /// Raises
 /// ------
 /// RegisterError
-///     If the patch cannot be registered, for example with too few points, if it is not among all
+///     If the contact cannot be registered, for example with too few points, if it is not among all
 ///     markers, or if it lies across the press direction.
 #[pyfunction]
 #[pyo3(signature = (
-    points_mm, template, *, t_sensor_object, all_points_mm=None, covariance_mm2=None, params=None, press_direction=None
+    contact, template, *, guess, all_points_mm=None, covariance_mm2=None, params=None, press_direction=None
 ))]
 #[expect(clippy::too_many_arguments, reason = "keyword arguments of Python")]
 pub fn localize(
     py: Python<'_>,
-    points_mm: &Bound<'_, PyAny>,
+    contact: &Bound<'_, PyAny>,
     template: &Bound<'_, Template>,
-    t_sensor_object: &Bound<'_, PyAny>,
+    guess: &Bound<'_, PyAny>,
     all_points_mm: Option<&Bound<'_, PyAny>>,
     covariance_mm2: Option<&Bound<'_, PyAny>>,
     params: Option<&Bound<'_, Params>>,
     press_direction: Option<&Bound<'_, PyAny>>,
 ) -> PyResult<Localization> {
-    let guess = arrays::pose(t_sensor_object, "t_sensor_object")?;
+    let guess = arrays::pose(guess, "guess")?;
     let template = template.get().inner();
     let params = Params::or_default(params);
     let register = |contact: &core::Contact<'_>, stop: Stop<'_>| {
@@ -303,21 +359,16 @@ pub fn localize(
             stage.register_unless(contact, template, &guess, stop)
         })
     };
+    let given = Given { contact, all_points_mm, covariance_mm2 };
     let gel = Gel::new(&params, press_direction)?;
-    let method = params.register.method;
-    let markers = (points_mm, all_points_mm, covariance_mm2);
-    let found = with_contact(py, markers, method, gel, register)?;
-    Ok(Localization { found, tracking: None, misfit: None })
+    let (found, model) = given.register(py, params.register.method, gel, register)?;
+    Ok(Localization { found, model, tracking: None, misfit: None })
 }
 
 thread_local! {
     /// This thread's registrar, kept for its memory: allocating it again takes a tenth of the work.
     static REGISTRAR: RefCell<core::Registrar> = RefCell::new(core::Registrar::new(&RegisterParams::default()));
 }
-
-/// Salient points, all points and covariances, as passed from Python.
-pub type Markers<'a, 'py> =
-    (&'a Bound<'py, PyAny>, Option<&'a Bound<'py, PyAny>>, Option<&'a Bound<'py, PyAny>>);
 
 /// Properties of the gel.
 #[derive(Clone, Copy)]
@@ -345,40 +396,117 @@ impl Gel {
     }
 }
 
-/// Runs work on a contact with the interpreter's lock released, until a signal stops it.
-pub fn with_contact<T: Send>(
-    py: Python<'_>,
-    (points_mm, all_points_mm, covariance_mm2): Markers<'_, '_>,
-    method: RegisterMethod,
-    gel: Gel,
-    run: impl FnOnce(&core::Contact<'_>, Stop<'_>) -> Result<T, core::RegisterError> + Send,
-) -> PyResult<T> {
-    let points = Numbers::new(points_mm, "points_mm")?;
-    let points = points.rows::<DVec3, 3>()?;
-    if points.len() > MAX_POINTS {
-        return Err(RegisterError::new_err(format!(
-            "there are {} points; valid is up to {MAX_POINTS}: pass only the contact patch, thinned to about \
-             the spacing of the template",
-            points.len()
-        )));
-    }
-    let all = all_points_mm.map(|all| Numbers::new(all, "all_points_mm")).transpose()?;
-    let all = all.as_ref().map(Numbers::rows::<DVec3, 3>).transpose()?;
-    let covariances = covariance_mm2.map(|c| Numbers::new(c, "covariance_mm2")).transpose()?;
-    let covariances = covariances.as_ref().map(Numbers::matrices).transpose()?;
-    stoppable(py, |stop| {
-        if let Some(all) = all {
-            core::check_among(all, points)?;
+/// A contact as passed from Python.
+#[derive(Clone, Copy)]
+pub struct Given<'a, 'py> {
+    /// A frame, or points of the contact.
+    pub contact: &'a Bound<'py, PyAny>,
+    pub all_points_mm: Option<&'a Bound<'py, PyAny>>,
+    pub covariance_mm2: Option<&'a Bound<'py, PyAny>>,
+}
+
+impl Given<'_, '_> {
+    /// Runs work on the contact with the interpreter's lock released, until a signal stops it; says what the
+    /// method could use.
+    pub fn register<T: Send>(
+        self,
+        py: Python<'_>,
+        method: RegisterMethod,
+        gel: Gel,
+        run: impl FnOnce(&core::Contact<'_>, Stop<'_>) -> Result<T, core::RegisterError> + Send,
+    ) -> PyResult<(T, Model)> {
+        match self.contact.cast::<Frame>() {
+            Ok(frame) => self.frame(py, frame.get(), method, gel, run),
+            Err(_) => self.points(py, method, gel, run),
         }
-        let unpressed_mm = core::unpressed_for(method, all.unwrap_or_default(), points);
-        let contact = core::Contact {
-            covariance_mm2: covariances,
-            unpressed_mm: &unpressed_mm,
-            decay_mm: gel.decay_mm,
-            press_direction: gel.press_direction,
-            ..core::Contact::new(points)
-        };
-        run(&contact, stop)
-    })?
-    .map_err(raise)
+    }
+
+    fn frame<T: Send>(
+        self,
+        py: Python<'_>,
+        frame: &Frame,
+        method: RegisterMethod,
+        gel: Gel,
+        run: impl FnOnce(&core::Contact<'_>, Stop<'_>) -> Result<T, core::RegisterError> + Send,
+    ) -> PyResult<(T, Model)> {
+        if self.all_points_mm.is_some() || self.covariance_mm2.is_some() {
+            return Err(PyTypeError::new_err(
+                "all_points_mm and covariance_mm2 come with points; a Frame has both: leave them out",
+            ));
+        }
+        let found = stoppable(py, |stop| {
+            let mut touch = Touch::default();
+            let contact = core::Contact { press_direction: gel.press_direction, ..touch.of(frame.core()) };
+            run(&contact, stop)
+        })?;
+        Ok((found.map_err(raise)?, Model::of(method, true)))
+    }
+
+    fn points<T: Send>(
+        self,
+        py: Python<'_>,
+        method: RegisterMethod,
+        gel: Gel,
+        run: impl FnOnce(&core::Contact<'_>, Stop<'_>) -> Result<T, core::RegisterError> + Send,
+    ) -> PyResult<(T, Model)> {
+        let points = Numbers::new(self.contact, "contact")?;
+        let points = points.rows::<DVec3, 3>()?;
+        if points.len() > MAX_POINTS {
+            return Err(RegisterError::new_err(format!(
+                "there are {} points; valid is up to {MAX_POINTS}: hand over the contact patch alone, thinned to \
+                 about the spacing of the template",
+                points.len()
+            )));
+        }
+        let all = self.all_points_mm.map(|all| Numbers::new(all, "all_points_mm")).transpose()?;
+        let all = all.as_ref().map(Numbers::rows::<DVec3, 3>).transpose()?;
+        let covariances = self.covariance_mm2.map(|c| Numbers::new(c, "covariance_mm2")).transpose()?;
+        let covariances = covariances.as_ref().map(Numbers::matrices).transpose()?;
+        let found = stoppable(py, |stop| {
+            if let Some(all) = all {
+                core::check_among(all, points)?;
+            }
+            let unpressed_mm = core::unpressed_for(method, all.unwrap_or_default(), points);
+            let contact = core::Contact {
+                covariance_mm2: covariances,
+                unpressed_mm: &unpressed_mm,
+                decay_mm: gel.decay_mm,
+                press_direction: gel.press_direction,
+                ..core::Contact::new(points)
+            };
+            run(&contact, stop)
+        })?;
+        Ok((found.map_err(raise)?, Model::of(method, all.is_some())))
+    }
+}
+
+/// What a registration could use, by its method and the markers that were given.
+#[derive(Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Model {
+    /// Points on the part's surface, by its samples.
+    Samples,
+    /// The part's exact surface.
+    Surface,
+    /// The part's exact surface, and the gel beside it where that explains the markers better.
+    Gel,
+}
+
+impl Model {
+    const fn of(method: RegisterMethod, has_all_markers: bool) -> Self {
+        match method {
+            RegisterMethod::SurfaceSearch if has_all_markers => Self::Gel,
+            RegisterMethod::SurfaceSearch | RegisterMethod::SurfaceClose | RegisterMethod::SurfaceTrack => {
+                Self::Surface
+            }
+            _ => Self::Samples,
+        }
+    }
+
+    const fn name(self) -> &'static str {
+        match self {
+            Self::Samples => "samples",
+            Self::Surface => "surface",
+            Self::Gel => "gel",
+        }
+    }
 }

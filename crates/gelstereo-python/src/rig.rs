@@ -2,6 +2,7 @@
 
 use crate::arrays::{self, Count, Matrix, Numbers};
 use crate::errors::{RigError, ShapeError, raise};
+use crate::notebook;
 use crate::tree;
 use gelstereo_core::camera::Camera;
 use gelstereo_core::math::{DMat3, DVec2, DVec3, Pose, so3};
@@ -317,6 +318,11 @@ impl Rig {
             arrays::rows::<_, 3>(py, rays.iter().map(|ray| ray.origin_mm).collect())?,
             arrays::rows::<_, 3>(py, rays.iter().map(|ray| ray.direction).collect())?,
         ))
+    }
+
+    /// HTML for notebooks.
+    fn _repr_html_(slf: &Bound<'_, Self>) -> PyResult<String> {
+        notebook::html(slf.as_any(), "rig_html")
     }
 
     fn __repr__(&self) -> String {

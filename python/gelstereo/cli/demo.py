@@ -119,7 +119,7 @@ def locate(
     assert moment.t_sensor_object is not None  # the scene has an indenter
     guess = moment.t_sensor_object @ se3_exp([*np.radians(_GUESS_DEG), *_GUESS_MM])
     start = time.perf_counter()
-    found = localize(frame.patch_points_mm, template, t_sensor_object=guess, params=params)
+    found = localize(frame, template, guess=guess, params=params)
     return found, 1e3 * (time.perf_counter() - start)
 
 

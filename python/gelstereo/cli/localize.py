@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from gelstereo import Localization, MarkerState, Template, localize
+from gelstereo import Localization, Template, localize
 from gelstereo.cli.files import read_points
 from gelstereo.cli.options import add_guess, add_params, guess_of, params_of
 from gelstereo.cli.sense import sense_folder
@@ -57,17 +57,10 @@ def run(arguments: argparse.Namespace) -> int:
     template = _template(arguments)
     guess = guess_of(arguments)
     if arguments.points is not None:
-        found = localize(read_points(arguments.points), template, t_sensor_object=guess, params=params)
+        found = localize(read_points(arguments.points), template, guess=guess, params=params)
     else:
         frame = sense_folder(arguments.images, arguments.rig, params).frame
-        found = localize(
-            frame.patch_points_mm,
-            template,
-            t_sensor_object=guess,
-            all_points_mm=frame.points_mm[frame.state == MarkerState.SEEN],
-            covariance_mm2=frame.covariance_mm2[frame.patch],
-            params=params,
-        )
+        found = localize(frame, template, guess=guess, params=params)
     text = json.dumps(as_json(found), indent=2)
     if arguments.output is None:
         print(text)
@@ -100,6 +93,7 @@ def as_json(found: Localization) -> dict[str, Any]:
         "free": [str(direction) for direction in found.free],
         "log_likelihood": found.log_likelihood,
         "verdict": found.verdict,
+        "model": found.model,
         "log_odds": found.log_odds,
         "gel_decay_mm": found.gel_decay_mm,
         "gel_decay_at_limit": found.gel_decay_at_limit,

@@ -76,7 +76,7 @@ class LiveSensor:
         self._pipeline = Pipeline(rig, params)
         self._localizer: Localizer | None = None
         if part is not None:
-            self._localizer = Localizer(part.template, t_sensor_object=part.t_sensor_object, params=params)
+            self._localizer = Localizer(part.template, guess=part.t_sensor_object, params=params)
         self._reference_px: Floats | None = None
         self._touched = False
 
@@ -108,11 +108,7 @@ class LiveSensor:
             return None, None
         self._touched = True
         try:
-            found = self._localizer.process(
-                sensed.patch_points_mm,
-                all_points_mm=sensed.points_mm[sensed.state == MarkerState.SEEN],
-                covariance_mm2=sensed.covariance_mm2[sensed.patch],
-            )
+            found = self._localizer.process(sensed)
         except RegisterError as error:
             return None, f"no pose: {error}"
         return found, None

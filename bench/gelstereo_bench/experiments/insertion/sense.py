@@ -23,7 +23,6 @@ from gelstereo import (
     localize,
 )
 from gelstereo.geometry import se3_exp
-from gelstereo.states import MarkerState
 
 __all__ = ["METHODS", "Found", "Method", "Registering", "Senses"]
 
@@ -201,13 +200,5 @@ class Registering:
             return None
 
     def _from(self, guess: Array, params: Params) -> Found:
-        patch_mm, seen = self.frame.patch_points_mm, np.asarray(self.frame.state) == MarkerState.SEEN
-        found = localize(
-            patch_mm,
-            self.template,
-            t_sensor_object=guess,
-            all_points_mm=self.frame.points_mm[seen],
-            covariance_mm2=self.frame.covariance_mm2[self.frame.patch],
-            params=params,
-        )
-        return Found.of(found, patch_mm)
+        found = localize(self.frame, self.template, guess=guess, params=params)
+        return Found.of(found, self.frame.patch_points_mm)

@@ -6,8 +6,8 @@ use super::observe::Observability;
 use super::surface::GelDecay;
 use super::verdict::Verdict;
 use crate::digest::Digest;
-use crate::math::Pose;
 use crate::math::linalg::Symmetric;
+use crate::math::{DVec3, Pose, sqrt};
 use crate::params::GuessSigma;
 
 /// The result of registration, with its evidence.
@@ -85,6 +85,32 @@ impl Registration {
     #[must_use]
     pub fn determined_covariance(&self) -> Symmetric<6> {
         self.observability.determined_covariance()
+    }
+
+    /// Standard deviations at a point of the part, in the object's frame: of a turn about the sensor's axes
+    /// (rad), then of the point's position along them (mm). The diagonal of [`Self::covariance`] is about
+    /// the camera, where a small turn adds much to the position.
+    #[must_use]
+    pub fn sigma_at(&self, point_mm: DVec3) -> [f64; 6] {
+        let covariance = self.covariance();
+        let p = self.t_sensor_object.transform_point(point_mm).to_array();
+        // The point moves by v + ω × p.
+        let moves: [[f64; 6]; 3] = core::array::from_fn(|axis| {
+            let (next, last) = ((axis + 1) % 3, (axis + 2) % 3);
+            let mut row = [0.0; 6];
+            (row[next], row[last], row[3 + axis]) = (p[last], -p[next], 1.0);
+            row
+        });
+        core::array::from_fn(|i| {
+            if i < 3 {
+                return sqrt(covariance[i][i]);
+            }
+            let row = &moves[i - 3];
+            let variance_mm2: f64 =
+                (0..6).map(|j| (0..6).map(|k| row[j] * covariance[j][k] * row[k]).sum::<f64>()).sum();
+            // Round-off may leave a variance of nothing below zero.
+            sqrt(variance_mm2.max(0.0))
+        })
     }
 
     /// Digest of all results.
