@@ -93,8 +93,8 @@ def test_the_irregular_peg_is_told_on_two_lobes_and_not_on_one() -> None:
     own = place.nominal.spin_rad
     assert height_mm(own) < min(height_mm(own - 0.2), height_mm(own + 0.2)), "it lies there"
     leaves_mm = 0.5 * place.part.clearance_mm
-    _, lying = place.told(place.nominal, 0.0055)
-    _, rolling = place.told(replace(place.nominal, spin_rad=0.0), 0.0055)
+    _, lying = place.bound_of(place.nominal, 0.0055)
+    _, rolling = place.bound_of(replace(place.nominal, spin_rad=0.0), 0.0055)
     assert lying.aside_mm < 0.2 * leaves_mm and lying.chance == 1.0
     # On a lobe, poses that were looked for with fine facets and the whole gel gave 0.16 mm and 2 degrees.
     assert rolling.aside_mm > 1.1 * leaves_mm and rolling.chance < 0.8

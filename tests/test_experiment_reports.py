@@ -417,7 +417,7 @@ def test_errors_of_the_command_help(
         assert main(["experiment", "boards", "--output", str(tmp_path), *words]) == 2
         assert expected in capsys.readouterr().err
     for words, expected in (
-        (["boards", "--trials", "0"], "valid is a whole number from 1 on"),
+        (["boards", "--trials", "0"], "valid is an integer of 1 or more"),
         (["boards", "--workers", "2", "--scheduler", "tcp://h:1"], "not allowed with"),
         (["planks"], "boards"),
     ):

@@ -89,7 +89,7 @@ def test_what_cannot_be_exported_says_why_and_leaves_nothing(
     taken = tmp_path / "taken"
     taken.mkdir()
     new = tmp_path / "new"
-    assert "no MCAP file" in error(text, "--to", "lerobot", new)
+    assert "not an MCAP file" in error(text, "--to", "lerobot", new)
     assert "exists; name a new folder" in error(recording, "--to", "lerobot", taken)
     assert "valid is lerobot" in error(recording, "--to", "zarr", new)
     assert "No such file" in error(tmp_path / "nowhere.mcap", "--to", "lerobot", new)
