@@ -156,9 +156,9 @@ def calibrate_corners(
     size_px
         Width and height of the images.
     names
-        Of the pairs, for the report; otherwise "pair 0" and so on.
+        Names of the pairs in the report. Default: "pair 0" and so on.
 
-    The rest as `calibrate_stereo`.
+        Other parameters as in `calibrate_stereo`.
     """
     _check_board(board, square_mm)
     _check_corners(left_px, right_px, board)
