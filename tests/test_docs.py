@@ -134,6 +134,38 @@ def test_commands_of_pages_are_valid(page: str, capsys: pytest.CaptureFixture[st
             assert not unknown, f"{page}: gelstereo-host {words[0]} has no {unknown}"
 
 
+#: What others print.
+FOREIGN = {"gelstereo: command not found"}
+
+
+def test_messages_of_troubleshooting_are_in_the_source() -> None:
+    page = (REPOSITORY / "docs" / "troubleshooting.md").read_text(encoding="utf-8")
+    messages = re.findall(r"^### `(.*)`$", page, re.MULTILINE)
+    assert len(messages) > 50
+    folders = (
+        "crates/gelstereo-core/src",
+        "crates/gelstereo-sim/src",
+        "firmware-host/src",
+        "python/gelstereo",
+    )
+    sources = [
+        path
+        for folder in folders
+        for path in (REPOSITORY / folder).rglob("*")
+        if path.suffix in (".rs", ".py")
+    ]
+    # A message is one text, although it is written on several lines.
+    texts = [re.sub(r'\\\n\s*|"\n\s*f?"', "", path.read_text(encoding="utf-8")) for path in sources]
+    for message in sorted(set(messages) - FOREIGN):
+        fixed = [words.strip(" ,;") for words in message.split("...")]
+        assert any(all(words in text for words in fixed) for text in texts), message
+
+
+def test_cell_file_of_the_page_is_the_example() -> None:
+    page = (REPOSITORY / "docs" / "reference" / "cell.md").read_text(encoding="utf-8")
+    assert (REPOSITORY / "examples" / "cell" / "cell.toml").read_text(encoding="utf-8") in page
+
+
 def test_pages_of_commands_are_current() -> None:
     pages = REPOSITORY / "docs" / "reference"
     remedy = "write it by: python .ci/docs/commands.py"

@@ -1,4 +1,4 @@
-"""The documentation builds as a site without a broken link, loads nothing from elsewhere, and says what each page is."""
+"""The documentation builds as a site without a broken link, fetches nothing, and says what each page is."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ from pathlib import Path
 import pytest
 
 REPOSITORY = Path(__file__).parents[1]
-FETCHED = re.compile(r"<(?:script|img|iframe|source|link)\b[^>]*?\b(?:src|href)=[\"']?((?:https?:)?//[^\"'> ]+)")
+FETCHED = re.compile(
+    r"<(?:script|img|iframe|source|link)\b[^>]*?\b(?:src|href)=[\"']?((?:https?:)?//[^\"'> ]+)"
+)
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +36,9 @@ def test_pages_say_their_kind(site: Path) -> None:
     for folder, kind in (("tutorials", "Tutorial"), ("reference", "Reference")):
         for path in (site / folder).glob("*.html"):
             assert f'class="kind">{kind}: ' in path.read_text(encoding="utf-8"), path.name
-    silent = [path.name for path in site.glob("*.html") if 'class="kind"' not in path.read_text(encoding="utf-8")]
+    silent = [
+        path.name for path in site.glob("*.html") if 'class="kind"' not in path.read_text(encoding="utf-8")
+    ]
     assert sorted(silent) == ["404.html", "index.html"]
 
 

@@ -259,13 +259,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from matplotlib import pyplot as plt
 
     example = Example.of(options.scene)
-    figure, axis = plt.subplots(figsize=(8.5, 8.9), layout="constrained")
+    figure, axis = plt.subplots(figsize=(7.0, 7.3), layout="constrained")
     draw_sensor(axis)
     figure.savefig(options.pictures / "concept-sensor.png", dpi=90)
-    figure, axes = plt.subplots(2, 3, figsize=(15, 8.6), layout="constrained", height_ratios=(0.85, 1.0))
+    figure, axes = plt.subplots(2, 3, figsize=(12.5, 7.2), layout="constrained", height_ratios=(0.85, 1.0))
     draw_stages(axes, example)
     figure.savefig(options.pictures / "concept-stages.png", dpi=90)
-    figure, axes = plt.subplots(1, 3, figsize=(15, 4.6), layout="constrained")
+    figure, axes = plt.subplots(1, 3, figsize=(12.5, 3.9), layout="constrained")
     draw_pose(axes, example)
     figure.savefig(options.pictures / "concept-pose.png", dpi=90)
     plt.close("all")
