@@ -36,7 +36,7 @@ __all__ = ["Example", "main"]
 Floats = npt.NDArray[np.float64]
 _INK, _PART, _GEL, _TOUCH = "0.15", "#d9822b", "#cfe4f2", "#d43d3d"
 #: Another part than the peg of the scene: flat where the peg is round. Its long side lies along the peg's axis.
-_BOX = {"kind": "box", "size_mm": [7.0, 7.0, 20.0]}
+_BOX_MM = (7.0, 7.0, 20.0)
 #: The simulated sensor's cameras and gel, sensor frame.
 _BASELINE_MM, _SURFACE_MM, _GEL_MM, _PLATE_MM = 8.0, 28.7, 5.0, 3.0
 
@@ -58,7 +58,10 @@ class Example:
         """Sense the scene and locate its part from a guess beside the truth."""
         simulator, params = simulate(Scene.load(scene)), Params.preset("balanced")
         pipeline = Pipeline(simulator.scene.rig, params)
-        frames = [(pair, pipeline.process(pair.left, pair.right)) for pair in simulator]
+        frames = [
+            (pair, pipeline.process(pair.left, pair.right))
+            for pair in map(simulator.__getitem__, range(len(simulator)))
+        ]
         pair, frame = frames[-1]
         assert pair.t_sensor_object is not None  # the scene has a part
         shape = simulator.scene.to_dict()["indenter"]
@@ -74,7 +77,9 @@ class Example:
                 covariance_mm2=frame.covariance_mm2[frame.patch],
             )
 
-        return cls(frames[0][1], pair, frame, shape, located(shape), located(_BOX))
+        return cls(
+            frames[0][1], pair, frame, shape, located(shape), located({"kind": "box", "size_mm": _BOX_MM})
+        )
 
     def profile_mm(self) -> Floats:
         """The outline of the peg at its pose, across its axis: x and z."""
@@ -217,7 +222,7 @@ def draw_pose(axes: Any, example: Example) -> None:
     _draw_peg(axes[1])
     axes[1].set_title("free directions: motions that no marker shows")
     _draw_section(axes[2], example)
-    half = _BOX["size_mm"][0] / 2
+    half = _BOX_MM[0] / 2
     corners = half * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0], [-1, -1, 0]])
     pose = example.other.t_sensor_object
     outline = corners @ pose[:3, :3].T + pose[:3, 3]
