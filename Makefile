@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 OUT ?= out
 HOST := $(CURDIR)/target/release/gelstereo-host
 
-.PHONY: demo test test-rust test-python test-long same-bits long-builds explore fuzz experiment frontier dist clean prerequisites
+.PHONY: demo test test-rust test-python test-long same-bits long-builds explore fuzz experiment frontier docs dist clean prerequisites
 
 demo: prerequisites $(BIN)/python
 	$(BIN)/pip install --quiet '.[recording]'
@@ -98,6 +98,13 @@ experiment: prerequisites $(BIN)/python
 frontier: prerequisites $(BIN)/python
 	$(BIN)/pip install --quiet . ./bench
 	$(BIN)/gelstereo frontier
+
+# The documentation as a site in out/site; a broken link or anchor fails. `python -m http.server -d out/site` serves it.
+docs: export NO_MKDOCS_2_WARNING = 1
+docs: prerequisites $(BIN)/python
+	$(BIN)/pip install --quiet '.[docs]'
+	$(BIN)/mkdocs build --quiet --strict --site-dir $(abspath $(OUT))/site
+	@echo "site: $(OUT)/site/index.html"
 
 # Wheels, binaries and Debian packages for x86-64 and aarch64, in out/dist; needs rustup.
 dist: prerequisites

@@ -4,17 +4,27 @@ from __future__ import annotations
 
 import doctest
 import importlib
+import importlib.util
 import inspect
+import os
 import pkgutil
 import re
+import shlex
+import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 from chessboards import TrueRig, write_pairs
+from own_sensor import write_own_sensor
+from step_file import write_pin
 
 import gelstereo
+from gelstereo.cli.main import COMMANDS, main
+from gelstereo.cli.main import _parser as command_parser
 
 REPOSITORY = Path(__file__).parents[1]
 MODULES = sorted(
@@ -23,6 +33,41 @@ MODULES = sorted(
     if not module.name.endswith(("__main__", "corner_worker"))
 )
 FLAGS = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS
+#: Help of each command of the host, from the generated page.
+HOST_PAGE = (REPOSITORY / "docs" / "reference" / "host-commands.md").read_text(encoding="utf-8")
+HOST_HELP = dict(
+    re.findall(r"^## gelstereo-host (\w+)\n(.*?)(?=^## |\Z)", HOST_PAGE, re.DOTALL | re.MULTILINE)
+)
+
+
+def load(path: Path) -> ModuleType:
+    """A script that is no module of a package."""
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+generator = load(REPOSITORY / ".ci" / "docs" / "commands.py")
+
+
+def blocks(page: str) -> Iterator[tuple[str, str]]:
+    """Fenced blocks with their language, and the text between them with an empty one."""
+    parts = re.split(r"^```(\w*).*\n((?:.*\n)*?)```$", page, flags=re.MULTILINE)
+    for index in range(0, len(parts), 3):
+        yield "", parts[index]
+        if index + 1 < len(parts):
+            yield parts[index + 1] or "text", parts[index + 2]
+
+
+def commands(text: str, program: str, fence: str) -> list[list[str]]:
+    """Words after a program's name, of every line that starts with it; outside a fence, of indented lines."""
+    indent = r" {4,}" if fence == "" else r" *"
+    lines = re.sub(r"\\\n\s*", "", text).splitlines()
+    found = [match[1] for line in lines if (match := re.match(rf"{indent}{program} (\S.*)", line))]
+    # Two spaces begin an explanation, other marks a pipe or a file for the output.
+    return [shlex.split(re.split(r"\s{2,}| [#|>&]", words)[0]) for words in found]
 
 
 @pytest.mark.parametrize("name", ["gelstereo", *MODULES])
@@ -40,25 +85,102 @@ def test_examples_are_found() -> None:
 
 @pytest.fixture(scope="module")
 def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder as the pages assume it: the scenes, images of a chessboard, and room to write."""
+    """A folder as the pages assume it: scenes, meshes, images of chessboards and of a gel, and room to write."""
     folder = tmp_path_factory.mktemp("desk")
     (folder / "scenes").symlink_to(REPOSITORY / "scenes")
     write_pairs(folder, TrueRig.typical(), 5)
+    write_own_sensor(folder)
+    shutil.copy(REPOSITORY / "scenes" / "parts" / "usb_plug.stl", folder / "plug.stl")
+    write_pin(folder / "pin.step", 4.0, 20.0)
     return folder
 
 
-PAGES = ["README.md", *sorted(f"docs/{path.name}" for path in REPOSITORY.glob("docs/*.md"))]
+PAGES = ["README.md", *sorted(str(path.relative_to(REPOSITORY)) for path in REPOSITORY.glob("docs/**/*.md"))]
 
 
 @pytest.mark.parametrize("page", PAGES)
-def test_examples_of_pages(page: str, desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(desk)
-    # A fence ends what an example prints, as an empty line does.
-    text = re.sub(r"^```.*$", "", (REPOSITORY / page).read_text(encoding="utf-8"), flags=re.MULTILINE)
-    examples = doctest.DocTestParser().get_doctest(text, {}, page, page, 0)
-    result = doctest.DocTestRunner(optionflags=FLAGS).run(examples)
-    assert result.failed == 0
-    assert result.attempted > 40 or page != "docs/python.md"
+def test_examples_of_pages(page: str, desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shutil.copytree(desk, tmp_path / "desk", symlinks=True)
+    monkeypatch.chdir(tmp_path / "desk")
+    runner = doctest.DocTestRunner(optionflags=FLAGS)
+    names: dict[str, object] = {}
+    # Commands of a tutorial run between its Python examples, in the order of the page.
+    for fence, text in blocks((REPOSITORY / page).read_text(encoding="utf-8")):
+        if fence == "sh" and page.startswith("docs/tutorials/"):
+            for words in commands(text, "gelstereo", fence):
+                assert main(words) == 0, words
+        elif fence != "sh":
+            test = doctest.DocTestParser().get_doctest(text, names, page, page, 0)
+            runner.run(test, clear_globs=False)
+            names = test.globs
+    assert runner.failures == 0
+    assert runner.tries > 40 or page != "docs/python.md"
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_commands_of_pages_are_valid(page: str, capsys: pytest.CaptureFixture[str]) -> None:
+    for fence, text in blocks((REPOSITORY / page).read_text(encoding="utf-8")):
+        for words in commands(text, "gelstereo", fence):
+            if words[0] in COMMANDS:
+                try:
+                    command_parser(words)[0].parse_args(words)
+                except SystemExit as end:
+                    assert end.code == 0, f"{page}: gelstereo {shlex.join(words)}: {capsys.readouterr().err}"
+            else:
+                assert words[0] in ("COMMAND", "--help"), f"{page}: there is no command {words[0]}"
+        for words in commands(text, "gelstereo-host", fence):
+            assert words[0] in HOST_HELP, f"{page}: there is no command {words[0]}"
+            unknown = [word for word in words if word.startswith("--") and word not in HOST_HELP[words[0]]]
+            assert not unknown, f"{page}: gelstereo-host {words[0]} has no {unknown}"
+
+
+#: What others print.
+FOREIGN = {"gelstereo: command not found"}
+
+
+def test_messages_of_troubleshooting_are_in_the_source() -> None:
+    page = (REPOSITORY / "docs" / "troubleshooting.md").read_text(encoding="utf-8")
+    messages = re.findall(r"^### `(.*)`$", page, re.MULTILINE)
+    assert len(messages) > 50
+    folders = (
+        "crates/gelstereo-core/src",
+        "crates/gelstereo-sim/src",
+        "firmware-host/src",
+        "python/gelstereo",
+    )
+    sources = [
+        path
+        for folder in folders
+        for path in (REPOSITORY / folder).rglob("*")
+        if path.suffix in (".rs", ".py")
+    ]
+    # A message is one text, although it is written on several lines.
+    texts = [re.sub(r'\\\n\s*|"\n\s*f?"', "", path.read_text(encoding="utf-8")) for path in sources]
+    for message in sorted(set(messages) - FOREIGN):
+        fixed = [words.strip(" ,;") for words in message.split("...")]
+        assert any(all(words in text for words in fixed) for text in texts), message
+
+
+def test_cell_file_of_the_page_is_the_example() -> None:
+    page = (REPOSITORY / "docs" / "reference" / "cell.md").read_text(encoding="utf-8")
+    assert (REPOSITORY / "examples" / "cell" / "cell.toml").read_text(encoding="utf-8") in page
+
+
+def test_pages_of_commands_are_current() -> None:
+    pages = REPOSITORY / "docs" / "reference"
+    remedy = "write it by: python .ci/docs/commands.py"
+    assert (pages / "commands.md").read_text(encoding="utf-8") == generator.python_page(), remedy
+    if host := os.environ.get("GELSTEREO_HOST"):
+        found = (pages / "host-commands.md").read_text(encoding="utf-8")
+        assert found == generator.host_page(REPOSITORY / host), remedy
+
+
+def test_reference_has_every_public_name() -> None:
+    pages = [path.read_text(encoding="utf-8") for path in REPOSITORY.glob("docs/reference/*.md")]
+    listed = [name for page in pages for name in re.findall(r"^::: gelstereo\.(\w+)$", page, re.MULTILINE)]
+    wanted = set(gelstereo.__all__) - {"__version__"}
+    assert wanted <= set(listed)
+    assert len(listed) == len(set(listed))
 
 
 def public_objects() -> list[tuple[str, object]]:

@@ -7,8 +7,10 @@ import re
 import shlex
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import trimesh
@@ -110,3 +112,42 @@ def test_examples_of_the_demo_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     monkeypatch.chdir(tmp_path)
     for words in examples("demo"):
         assert main(words) == 0
+
+
+def run_program(name: str, *words: str, folder: Path) -> str:
+    """What a program of `examples/` prints."""
+    program = [sys.executable, str(SCENES.parent / "examples" / name), *words]
+    return subprocess.run(program, cwd=folder, check=True, capture_output=True, text=True).stdout
+
+
+def test_the_program_for_the_first_pose_runs(tmp_path: Path) -> None:
+    said = run_program("first_pose.py", folder=tmp_path)
+    assert re.search(r"verdict +fits", said) and "spin about z" in said
+
+
+def test_the_program_that_follows_a_part_runs(tmp_path: Path) -> None:
+    *_, last = run_program("follow_part.py", folder=tmp_path).splitlines()
+    assert "tracking, fits: x 4.5" in last
+
+
+def test_the_program_for_a_mesh_runs(tmp_path: Path) -> None:
+    plug = str(SCENES / "parts" / "usb_plug.stl")
+    words = ("--units", "mm", "--turn-deg", "90", "0", "0", "--save", "plug.template")
+    said = run_program("part_from_mesh.py", plug, *words, folder=tmp_path)
+    assert re.search(r"verdict +fits", said)
+    assert [path.name for path in tmp_path.iterdir()] == ["plug.template"]
+
+
+def test_the_program_for_a_camera_runs(tmp_path: Path) -> None:
+    simulator = simulate(PRESS)
+    simulator.scene.rig.save(tmp_path / "rig.toml")
+    codec = cv2.VideoWriter.fourcc(*"MJPG")
+    video = cv2.VideoWriter(str(tmp_path / "press.avi"), codec, 30.0, (1280, 480))
+    for moment in simulator:
+        video.write(cv2.cvtColor(np.hstack((moment.left, moment.right)), cv2.COLOR_GRAY2BGR))
+    video.release()
+    words = ("--camera", "press.avi", "--rig", "rig.toml", "--pitch-mm", "0.9")
+    lines = run_program("live_camera.py", *words, folder=tmp_path).splitlines()
+    assert len(lines) == len(simulator) + 1
+    contact = [int(line.split()[2]) for line in lines[:-1]]
+    assert contact[0] == 0 and contact[-1] > 20
