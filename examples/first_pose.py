@@ -26,17 +26,10 @@ def main() -> None:
     template = gs.Template.from_triangles(*gs.geometry.shape_mesh(peg))
     guess = pair.t_sensor_object @ gs.geometry.se3_exp([0.02, -0.02, 0.02, 0.3, -0.3, 0.3])
 
-    found = gs.localize(
-        frame.patch_points_mm,
-        template,
-        t_sensor_object=guess,
-        params=params,
-        all_points_mm=frame.points_mm,
-        covariance_mm2=frame.covariance_mm2[frame.patch],
-    )
+    found = gs.localize(frame, template, guess=guess, params=params)
 
     # The pose maps points of the part to the frame of the left camera. Act on it only if it fits.
-    sigma = np.sqrt(np.diag(found.determined_covariance))
+    sigma = found.sigma_at()
     print(f"verdict   {found.verdict}")
     print(f"position  {found.t_sensor_object[:3, 3].round(3)} mm")
     print(f"sigma     {sigma[3:].round(4)} mm, {np.degrees(sigma[:3]).round(3)} deg")

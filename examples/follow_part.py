@@ -23,7 +23,7 @@ def main() -> None:
     # Where the gripper will hold the part: millimetres in the frame of the left camera, the peg along y.
     expected = gs.geometry.se3_exp([np.pi / 2, 0.0, 0.0, 0.0, 0.0, 0.0]).copy()
     expected[:3, 3] = [4.0, 0.0, 31.0]
-    localizer = gs.Localizer(template, t_sensor_object=expected, params=params)
+    localizer = gs.Localizer(template, guess=expected, params=params)
 
     for pair in sensor:
         frame = pipeline.process(pair.left, pair.right)
@@ -31,11 +31,7 @@ def main() -> None:
             print(f"{frame.index:3} nothing touches the gel")
             continue
         try:
-            found = localizer.process(
-                frame.patch_points_mm,
-                all_points_mm=frame.points_mm,
-                covariance_mm2=frame.covariance_mm2[frame.patch],
-            )
+            found = localizer.process(frame)
         except gs.RegisterError as error:
             # Too few markers touch, as at the first contact.
             print(f"{frame.index:3} no pose: {error}")

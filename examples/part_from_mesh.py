@@ -57,14 +57,7 @@ def main() -> None:
     frame = pipeline.process(pressed.left, pressed.right)
 
     guess = truth @ gs.geometry.se3_exp([0.03, -0.02, 0.04, 0.4, -0.3, 0.3])
-    found = gs.localize(
-        frame.patch_points_mm,
-        template,
-        t_sensor_object=guess,
-        params=params,
-        all_points_mm=frame.points_mm,
-        covariance_mm2=frame.covariance_mm2[frame.patch],
-    )
+    found = gs.localize(frame, template, guess=guess, params=params)
     print(f"contact   {frame.patch.sum()} markers")
     print(f"verdict   {found.verdict}")
     print(f"free      {'; '.join(map(str, found.free)) or 'nothing'}")

@@ -89,6 +89,10 @@ def test_sigma_is_that_of_a_point_of_the_part(grasp: tuple[gs.Frame, gs.Template
 
 
 def test_scenes_have_names() -> None:
-    assert gs.simulate("press_sphere").scene.to_toml() == gs.Scene.load(SCENES / "press_sphere.toml").to_toml()
-    with pytest.raises(gs.SceneError, match="no scene 'press_cube' comes with gelstereo; valid is one of board_0_8"):
+    assert (
+        gs.simulate("press_sphere").scene.to_toml() == gs.Scene.load(SCENES / "press_sphere.toml").to_toml()
+    )
+    with pytest.raises(
+        gs.SceneError, match="no scene 'press_cube' comes with gelstereo; valid is one of board_0_8"
+    ):
         gs.simulate("press_cube")

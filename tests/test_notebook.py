@@ -13,7 +13,7 @@ __all__ = ["grasp"]
 
 
 @pytest.fixture(scope="module")
-def shown(grasp: tuple) -> dict[str, str]:  # noqa: F811
+def shown(grasp: tuple) -> dict[str, str]:
     frame, template, guess = grasp
     found = gs.localize(frame, template, guess=guess, params=PARAMS)
     rig = gs.simulate("board_0_8_refraction").scene.rig
@@ -25,7 +25,7 @@ def test_what_is_shown_is_well_formed(shown: dict[str, str], what: str) -> None:
     ElementTree.fromstring(shown[what])
 
 
-def test_a_frame_shows_every_marker_and_the_contact(grasp: tuple, shown: dict[str, str]) -> None:  # noqa: F811
+def test_a_frame_shows_every_marker_and_the_contact(grasp: tuple, shown: dict[str, str]) -> None:
     frame = grasp[0]
     discs = ElementTree.fromstring(shown["frame"]).findall(".//{http://www.w3.org/2000/svg}circle")
     assert len(discs) == frame.rows * frame.cols

@@ -10,7 +10,6 @@ from typing import Any
 
 from gelstereo._native import Plan, Scene, SceneError, Simulator
 
-
 #: Scenes that come with the package.
 SCENES = Path(__file__).parent / "scenes"
 
@@ -26,7 +25,9 @@ def shipped_scene(name: str) -> Path:
     path = SCENES / f"{name}.toml"
     if not path.is_file():
         names = ", ".join(sorted(file.stem for file in SCENES.glob("*.toml")))
-        raise SceneError(f"no scene {name!r} comes with gelstereo; valid is one of {names}, or a path to a TOML file")
+        raise SceneError(
+            f"no scene {name!r} comes with gelstereo; valid is one of {names}, or a path to a TOML file"
+        )
     return path
 
 

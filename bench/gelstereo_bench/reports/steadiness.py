@@ -60,9 +60,7 @@ def scatter_by_noise(
 ) -> Steadiness:
     """Register one pressed frame with the noise (markers, 3) of many others."""
     params = _params(method)
-    found = [
-        localize(points_mm + noise, template, guess=guess, params=params) for noise in noise_mm
-    ]
+    found = [localize(points_mm + noise, template, guess=guess, params=params) for noise in noise_mm]
     twists = _twists(found, points_mm.mean(axis=0))
     return _steadiness(found, twists - twists.mean(axis=0), points_mm, len(found) - 1.0, sigma_mm)
 
