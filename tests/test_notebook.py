@@ -33,7 +33,7 @@ def test_a_frame_shows_every_marker_and_the_contact(grasp: tuple, shown: dict[st
 
 
 def test_a_pose_says_in_which_frame_it_is_and_what_is_free(shown: dict[str, str]) -> None:
-    for words in ("fits", "sensor frame", "sigma", "slide along z", "gel"):
+    for words in ("fits", "sensor frame", "sigma", "spin about z", "gel"):
         assert words in shown["found"]
 
 
