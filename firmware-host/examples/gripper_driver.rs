@@ -88,9 +88,8 @@ impl Gripper for TextGripper {
         let [width, moving, holds] = words.as_slice() else {
             return Err(GripperError::Device { message: format!("`{answer}` is no status") });
         };
-        let width_mm = width
-            .parse()
-            .map_err(|_| GripperError::Device { message: format!("`{width}` is no width") })?;
+        let width_mm =
+            width.parse().map_err(|_| GripperError::Device { message: format!("`{width}` is no width") })?;
         Ok(GripperStatus { width_mm, moving: *moving == "1", object_detected: *holds == "1" })
     }
 
