@@ -83,7 +83,6 @@ RUNGS = (
     Rung("points", "rays", _POINTS | {"triangulate": {"method": "rays"}}, "balanced"),
     Rung("contact", "depth (paper)", _POINTS | {"contact": {"saliency": "depth"}}, "balanced"),
     Rung("contact", "pressure", _POINTS | {"contact": {"saliency": "pressure"}}, "balanced"),
-    Rung("contact", "pressure, quick", _POINTS | {"contact": {"saliency": "pressure_quick"}}, "balanced"),
     Rung("contact", "adaptive", _POINTS | {"contact": {"saliency": "adaptive"}}, "balanced"),
     Rung("register", "filterreg_point (paper)", {"register": {"method": "filterreg_point"}}),
     Rung("register", "filterreg_plane", {"register": {"method": "filterreg_plane"}}),

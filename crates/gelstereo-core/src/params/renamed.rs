@@ -18,7 +18,8 @@ const SETTINGS: [(&str, &str); 13] = [
 ];
 
 /// Methods that were dropped, by setting, and the one that is better in every respect.
-const METHODS: [(&str, &str, &str); 3] = [
+const METHODS: [(&str, &str, &str); 4] = [
+    ("contact.saliency", "pressure_quick", "pressure"),
     ("detect.background", "box", "blocks"),
     ("label.method", "temporal", "lattice"),
     ("register.method", "icp_plane", "surface_close"),
