@@ -29,8 +29,8 @@ _TRUTH = Start("the truth", 0.0, 0.0)
 _BUDGETS = (1_000_000, 200_000, 120_000, 80_000, 50_000)
 #: What other libraries are given beside the rungs that start from one guess, which is near.
 _CLOSE = STARTS[0]
-#: The rungs that start from one guess: where they are meant to start, and the median that is asked of them, ms.
-_NEAR = {"surface_track": (Start("0.5 deg, 0.1 mm", 0.5, 0.1), 0.1), "surface_close": (_CLOSE, 0.5)}
+#: The rung that starts from one guess: where it is meant to start, and the median that is asked of it, ms.
+_NEAR = {"surface_close": (_CLOSE, 0.5)}
 #: Frames of a contact that are registered one after another, and of how many contacts one is.
 _FRAMES, _ONE_OF = 8, 4
 #: Answers drawn of an efficient estimate of each contact: its share is then known to 2 %.

@@ -259,9 +259,8 @@ const MAX_POINTS: usize = 20_000;
 ///     A guess: maps object coordinates to sensor coordinates.
 /// all_points_mm : (M, 3) array_like, optional
 ///     All markers' points, those of `points_mm` among them, bit for bit. The methods on the part's surface
-///     (``register.method`` "surface_track", "surface_close", "surface_search"; they need a template of a
-///     mesh) use that the part is nowhere between the others and the camera; other methods do not look at
-///     them.
+///     (``register.method`` "surface_close", "surface_search"; they need a template of a mesh) use that the
+///     part is nowhere between the others and the camera; other methods do not look at them.
 /// covariance_mm2 : (N, 3, 3) or (N, 9) array_like, optional
 ///     Covariance of each of `points_mm`, for the same methods; without it ``register.point_sigma_mm``
 ///     holds for all.
@@ -386,7 +385,7 @@ fn with_contact<T: Send>(
 /// Localizes one part frame by frame: tracks it, detects that it is lost, and finds it again.
 ///
 /// The pose is tracked from the previous frame on the part's exact surface. The ``register.method``
-/// "surface_search" also uses the gel model; "surface_track" first uses the grid of distances. Between
+/// "surface_search" also uses the gel model; "surface_close" first uses the grid of distances. Between
 /// frames the part is assumed to move by a tenth of ``register.start_sigma_deg`` and
 /// ``register.start_sigma_mm``.
 ///

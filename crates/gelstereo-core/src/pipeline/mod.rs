@@ -280,8 +280,8 @@ impl Pipeline {
     fn rest_on(&mut self, rest: RestSurface) -> Result<(), PipelineError> {
         let (left, right) = (self.left.labelled(), self.right.labelled());
         self.contact.start(&rest, self.left.rows, self.left.cols).map_err(PipelineError::Contact)?;
-        let lattice = (self.left.cols, self.left.pitch_px);
-        self.slips.learn(&self.triangulator, &rest, [centres(left), centres(right)], lattice);
+        let (cols, pitch_px) = (self.left.cols, self.left.pitch_px);
+        self.slips.learn(&self.triangulator, &rest, [centres(left), centres(right)], cols, pitch_px);
         copy_into(&left.positions_px, &mut self.reference_px);
         self.rest = Some(rest);
         Ok(())
