@@ -13,7 +13,7 @@ import gelstereo
 from gelstereo import RegisterError, geometry
 
 EPS = float(np.finfo(float).eps)
-METHODS = ["filterreg_point", "filterreg_plane", "ransac_icp"]
+METHODS = ["filterreg_point", "ransac_icp"]
 
 clouds = st.integers(4, 30).flatmap(lambda n: hnp.arrays(float, (n, 3), elements=st.floats(-10, 10)))
 twists = st.tuples(*[st.floats(-1.8, 1.8)] * 3, *[st.floats(-50, 50)] * 3).map(np.array)
@@ -141,9 +141,9 @@ def test_row_06_a_patch_out_of_reach_is_told_its_distance() -> None:
         gelstereo.localize(cap(5, 2) + [0, 0, -15], sphere_template(5, 0.5), guess=np.eye(4))
 
 
-@pytest.mark.parametrize("method", ["filterreg_point", "filterreg_plane"])
 @pytest.mark.parametrize("offset_mm", [1e3, 1e6, 1e9])
-def test_row_09_the_answer_moves_with_the_offset(method: str, offset_mm: float) -> None:
+def test_row_09_the_answer_moves_with_the_offset(offset_mm: float) -> None:
+    method = "filterreg_point"
     template, points = sphere_template(5, 0.4), cap(5, 2.5)
     guess = geometry.se3_exp([0.02, -0.03, 0.01, 0.1, -0.2, 0.15])
     shift = np.array([offset_mm, -offset_mm, offset_mm / 2])

@@ -135,7 +135,6 @@ SAMPLES = {
         filterreg={"max_sigma_mm": 2.0},
         advanced={"max_iterations": 100_000, "step_tolerance": 1e-12},
     ),
-    "filterreg_plane": registering("filterreg_plane", filterreg={"min_sigma_mm": 2.0, "max_sigma_mm": 2.0}),
     "ransac_icp": registering("ransac_icp", ransac_icp={"hypotheses": 1_000_000}),
     "surface_search": registering(
         "surface_search",

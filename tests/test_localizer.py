@@ -21,7 +21,7 @@ def off_deg(found: np.ndarray, truth: np.ndarray) -> float:
     return float(np.rad2deg(np.linalg.norm(se3_log(np.linalg.inv(found) @ truth)[:3])))
 
 
-@pytest.mark.parametrize("method", ["surface_track", "surface_close", "surface_search"])
+@pytest.mark.parametrize("method", ["surface_close", "surface_search"])
 def test_a_part_is_found_followed_lost_and_found_again(box: Template, method: str) -> None:
     truth, salient, everything = corner(0.02)
     params = Params().replace({"register.method": method})

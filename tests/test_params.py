@@ -17,7 +17,7 @@ from gelstereo import Error, Params, ParamsError, Scene, SceneError
     st.sampled_from(Params.presets()),
     st.floats(1e-6, 1e4),
     st.integers(2, 1000),
-    st.sampled_from(["filterreg_point", "filterreg_plane", "ransac_icp", "surface_search"]),
+    st.sampled_from(["filterreg_point", "ransac_icp", "surface_close", "surface_search"]),
 )
 def test_text_and_values_keep_every_bit(preset: str, saliency_mm: float, rows: int, method: str) -> None:
     params = Params.preset(preset).replace(

@@ -19,7 +19,7 @@ from gelstereo.geometry import nearest, se3_exp, se3_log, shape_mesh
 from gelstereo.templates import MeshWarning, load_mesh
 
 MESHES = [*sorted(DATA.glob("factory_meshes/*.obj")), *sorted(DATA.glob("meshes_realsense/*.stl"))]
-PLANE = Params().replace({"register.method": "filterreg_plane"})
+CLOSE = Params().replace({"register.method": "surface_close"})
 
 
 @pytest.fixture(scope="module")
@@ -144,7 +144,7 @@ def test_localize_finds_a_corner_within_its_own_covariance(box: trimesh.Trimesh)
     truth = np.array(se3_exp([0.2, -0.1, 0.3, 4.0, 1.0, 30.0]))
     guess = truth @ se3_exp([0.03, -0.03, 0.02, 0.3, -0.3, 0.2])
     noise_mm = 0.03
-    params = PLANE.replace({"register.point_sigma_mm": noise_mm})
+    params = CLOSE.replace({"register.point_sigma_mm": noise_mm})
     points = board_contact(truth, noise_mm)
     found = localize(points, template, guess=guess, params=params)
     assert found.converged
@@ -168,7 +168,7 @@ def test_localize_names_what_a_cylinder_leaves_free() -> None:
     points = np.column_stack([4 * np.cos(angle), 4 * np.sin(angle), height]) + 0.01 * rng.normal(
         size=(200, 3)
     )
-    found = localize(points, template, guess=se3_exp([0.01, 0.01, 0, 0.1, 0.1, 0]), params=PLANE)
+    found = localize(points, template, guess=se3_exp([0.01, 0.01, 0, 0.1, 0.1, 0]), params=CLOSE)
     words = [str(direction) for direction in found.free]
     assert [text.split()[:3] for text in words] == [["slide", "along", "z"], ["spin", "about", "z"]]
     slide, spin = found.free
@@ -177,7 +177,7 @@ def test_localize_names_what_a_cylinder_leaves_free() -> None:
     # The spin turns about the cylinder's axis, which its twist puts beside the patch's centre.
     on_axis = spin.centre_mm + np.cross(spin.omega, spin.v)
     # Known no better than the noise of the points lets it be: three times register.point_sigma_mm.
-    assert np.abs(on_axis[:2]).max() < 3 * PLANE.to_dict()["register"]["point_sigma_mm"]
+    assert np.abs(on_axis[:2]).max() < 3 * CLOSE.to_dict()["register"]["point_sigma_mm"]
 
 
 REGISTER = """
@@ -187,7 +187,7 @@ template = Template.from_triangles(*geometry.shape_mesh({"kind": "sphere", "radi
 points = template.points_mm[template.points_mm[:, 2] < -2.0]
 guess = geometry.se3_exp([0.01, -0.02, 0.03, 0.3, -0.2, 0.1])
 methods = [Params().replace({"register.method": name})
-           for name in ("filterreg_point", "filterreg_plane", "ransac_icp")]
+           for name in ("filterreg_point", "surface_close", "ransac_icp")]
 def digests(points=points):
     return [localize(points, template, guess=guess, params=params).digest for params in methods]
 """
@@ -249,7 +249,7 @@ def test_a_scan_with_noise_and_a_hole_is_told_of_and_used() -> None:
     assert np.abs(template.closest(points).distances_mm).max() < 0.1
     guess = np.eye(4)
     guess[:3, 3] = 0.2
-    found = localize(points[:200], template, guess=guess, params=PLANE)
+    found = localize(points[:200], template, guess=guess, params=CLOSE)
     assert found.rmse_mm < 0.03
 
 
@@ -439,7 +439,7 @@ def test_a_scan_of_points_is_thinned_and_localized(tmp_path: Path) -> None:
     cap = points[points[:, 2] < -0.8 * radius_mm][::5]
     guess = np.eye(4)
     guess[:3, 3] = [0.1, -0.2, 0.15]
-    for method in ("filterreg_plane", "surface_close"):
+    for method in ("filterreg_point", "surface_close"):
         params = Params().replace({"register.method": method})
         found = localize(cap, template, guess=guess, params=params)
         centre_mm = (

@@ -13,11 +13,9 @@ use libfuzzer_sys::arbitrary::{Result, Unstructured};
 use libfuzzer_sys::fuzz_target;
 use std::sync::OnceLock;
 
-const RUNGS: [RegisterMethod; 6] = [
+const RUNGS: [RegisterMethod; 4] = [
     RegisterMethod::FilterregPoint,
-    RegisterMethod::FilterregPlane,
     RegisterMethod::RansacIcp,
-    RegisterMethod::SurfaceTrack,
     RegisterMethod::SurfaceClose,
     RegisterMethod::SurfaceSearch,
 ];

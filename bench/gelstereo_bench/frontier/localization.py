@@ -29,8 +29,8 @@ _TRUTH = Start("the truth", 0.0, 0.0)
 _BUDGETS = (1_000_000, 200_000, 120_000, 80_000, 50_000)
 #: Starts for other libraries, in addition to the near ones of the rungs with a single start.
 _CLOSE = STARTS[0]
-#: Rungs with a single start: their intended start, and the target of their median time, ms.
-_NEAR = {"surface_track": (Start("0.5 deg, 0.1 mm", 0.5, 0.1), 0.1), "surface_close": (_CLOSE, 0.5)}
+#: The rung with a single start: its intended start, and the target of its median time, ms.
+_NEAR = {"surface_close": (_CLOSE, 0.5)}
 #: Number of consecutive registrations per contact, and one in how many contacts is used.
 _FRAMES, _ONE_OF = 8, 4
 #: Samples of an efficient estimator per contact; the success rate is then known to 2 %.

@@ -71,7 +71,7 @@ class Example:
             return localize(
                 frame.patch_points_mm,
                 Template.from_triangles(*shape_mesh(part)),
-                t_sensor_object=guess,
+                guess=guess,
                 params=params,
                 all_points_mm=frame.points_mm,
                 covariance_mm2=frame.covariance_mm2[frame.patch],

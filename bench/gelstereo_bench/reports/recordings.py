@@ -53,7 +53,7 @@ SALIENCY_MM = float(Params().to_dict()["contact"]["saliency_mm"])
 _MIN_CORE = 8
 #: Number of frames in a stretch with little motion.
 _STILL = 8
-_METHOD = "filterreg_plane"
+_METHOD = "surface_close"
 
 
 @dataclass(frozen=True)
@@ -129,7 +129,7 @@ def touching(recording: CloudRecording) -> list[list[Contact]]:
 def register_part(
     recording: CloudRecording,
     part: Part,
-    method: str = "filterreg_plane",
+    method: str = _METHOD,
     every: int = 1,
     *,
     whole: npt.NDArray[np.bool_] | None = None,

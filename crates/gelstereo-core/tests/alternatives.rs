@@ -210,7 +210,7 @@ fn answers_are_ranked_and_those_that_have_no_place_are_not_hidden() {
     assert!(near.alternatives.len() <= 1 && !near.alternatives.is_cut());
     // Known to 5 mm: a pitch is likely up to 15 mm off, ten each way.
     let wide = with(5.0, all);
-    assert!(wide.alternatives.len() == Alternatives::MOST && wide.alternatives.is_cut());
+    assert!(wide.alternatives.len() == Alternatives::MAX_COUNT && wide.alternatives.is_cut());
     for found in [&near, &wide] {
         let ranks: Vec<f64> = answers(found).iter().map(|(_, likelihood)| *likelihood).collect();
         assert!(ranks.is_sorted_by(|a, b| a >= b), "{ranks:?}");

@@ -101,7 +101,7 @@ fn a_part_that_is_let_go_is_looked_for_where_it_was() {
     let mut localizer = localizer(RegisterMethod::SurfaceClose, &first.t_sensor_object);
     localizer.run(&first.contact(), &template).unwrap();
     let nothing = localizer.run(&Contact::new(&[]), &template);
-    assert_eq!(nothing, Err(RegisterError::TooFewPoints { found: 0, least: 3 }));
+    assert_eq!(nothing, Err(RegisterError::TooFewPoints { found: 0, min_points: 3 }));
     assert!(localizer.last().is_some());
     let back =
         sensed(&part, moved(first.t_sensor_object, DVec3::Z * 0.1, DVec3::new(0.8, -0.5, 0.0)), &mut random);

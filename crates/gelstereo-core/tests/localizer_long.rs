@@ -96,7 +96,7 @@ fn row_35_a_localizer_gives_the_same_bits_twice_and_takes_no_byte_more_over_thou
     let wanted = std::env::var("GELSTEREO_SOAK_FRAMES").ok().and_then(|text| text.parse().ok());
     let rounds: usize = wanted.unwrap_or(500) / ROUND;
     let (frames, template, start) = round(61);
-    let mut localizer = localizer(RegisterMethod::SurfaceTrack, &start);
+    let mut localizer = localizer(RegisterMethod::SurfaceClose, &start);
     let before = ALLOCATIONS.get();
     let (first, grown) = follow(&mut localizer, &frames, &template, rounds);
     assert!(ALLOCATIONS.get() > before, "the counter counts");

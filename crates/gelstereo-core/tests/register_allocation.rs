@@ -26,9 +26,7 @@ fn a_second_run_allocates_nothing() {
     let guess = contact.guess(0.05, 0.5, &mut random);
     for method in [
         RegisterMethod::FilterregPoint,
-        RegisterMethod::FilterregPlane,
         RegisterMethod::RansacIcp,
-        RegisterMethod::SurfaceTrack,
         RegisterMethod::SurfaceClose,
         RegisterMethod::SurfaceSearch,
     ] {

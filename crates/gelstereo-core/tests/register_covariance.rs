@@ -11,11 +11,9 @@ use gelstereo_core::surface::TriangleMesh;
 use proptest::prelude::*;
 use std::sync::OnceLock;
 
-const METHODS: [RegisterMethod; 6] = [
+const METHODS: [RegisterMethod; 4] = [
     RegisterMethod::FilterregPoint,
-    RegisterMethod::FilterregPlane,
     RegisterMethod::RansacIcp,
-    RegisterMethod::SurfaceTrack,
     RegisterMethod::SurfaceClose,
     RegisterMethod::SurfaceSearch,
 ];

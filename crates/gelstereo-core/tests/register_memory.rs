@@ -10,8 +10,7 @@ use gelstereo_core::register::Registrar;
 use problems::follow::part;
 use problems::{Problem, Sensing};
 
-const RUNGS: [RegisterMethod; 3] =
-    [RegisterMethod::SurfaceTrack, RegisterMethod::SurfaceClose, RegisterMethod::SurfaceSearch];
+const RUNGS: [RegisterMethod; 2] = [RegisterMethod::SurfaceClose, RegisterMethod::SurfaceSearch];
 
 fn params(method: RegisterMethod) -> RegisterParams {
     RegisterParams { method, ..Default::default() }

@@ -175,7 +175,7 @@ fn templates_without_meaning_are_refused() {
     let n = [DVec3::Z; 4];
     let refused =
         |p: &[DVec3], n: &[DVec3], spacing: f64| Template::new(p, n, spacing).map(|_| ()).unwrap_err();
-    assert_eq!(refused(&p[..2], &n[..2], 0.1), TemplateError::TooFew { found: 2, least: 3 });
+    assert_eq!(refused(&p[..2], &n[..2], 0.1), TemplateError::TooFew { found: 2, min_points: 3 });
     assert_eq!(refused(&p, &n[..3], 0.1), TemplateError::Lengths { points: 4, normals: 3 });
     assert_eq!(refused(&[DVec3::NAN; 3], &n[..3], 0.1), TemplateError::NotFinite { index: 0 });
     assert_eq!(

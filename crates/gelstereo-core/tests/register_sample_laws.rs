@@ -13,10 +13,7 @@ use gelstereo_core::register::{RegisterError, Registrar, Registration, Template}
 use proptest::prelude::*;
 
 const SPACING_MM: f64 = 0.4;
-/// From one start.
-const FROM_THE_GUESS: [RegisterMethod; 2] = [RegisterMethod::FilterregPoint, RegisterMethod::FilterregPlane];
-const METHODS: [RegisterMethod; 3] =
-    [RegisterMethod::FilterregPoint, RegisterMethod::FilterregPlane, RegisterMethod::RansacIcp];
+const METHODS: [RegisterMethod; 2] = [RegisterMethod::FilterregPoint, RegisterMethod::RansacIcp];
 /// Coordinates of 300 mm at most, through a hundred iterations that contract and the patch's condition, below 10.
 const ROUNDING_MM: f64 = 1e3 * f64::EPSILON * 300.0;
 
@@ -101,7 +98,7 @@ fn pose() -> impl Strategy<Value = Pose> {
 /// How many points lie within reach, of how many that are needed, where that is why there is no answer.
 fn refused(answer: Result<Registration, RegisterError>) -> Option<(usize, usize)> {
     match answer {
-        Err(RegisterError::OutOfReach { within, least, .. }) => Some((within, least)),
+        Err(RegisterError::OutOfReach { within, min_points, .. }) => Some((within, min_points)),
         _ => None,
     }
 }
@@ -156,11 +153,10 @@ proptest! {
     #[test]
     fn the_order_of_points_and_of_samples_changes_no_more_than_rounding(seed in 0..1000_u64) {
         let given = Given::new(seed);
-        for method in FROM_THE_GUESS {
-            let [here, there] = [&given, &given.shuffled(seed)].map(|g| g.register(method).unwrap().t_sensor_object);
-            let apart_mm = given.apart_mm(&here, &there);
-            prop_assert!(apart_mm <= ROUNDING_MM, "{method:?} {apart_mm:e}");
-        }
+        let method = RegisterMethod::FilterregPoint;
+        let [here, there] = [&given, &given.shuffled(seed)].map(|g| g.register(method).unwrap().t_sensor_object);
+        let apart_mm = given.apart_mm(&here, &there);
+        prop_assert!(apart_mm <= ROUNDING_MM, "{apart_mm:e}");
     }
 }
 

@@ -59,11 +59,9 @@ static SCAN: LazyLock<Template> = LazyLock::new(|| {
     Template::new(TEMPLATE.points_mm(), TEMPLATE.normals(), SPACING_MM).unwrap().with_surfels()
 });
 
-const METHODS: [RegisterMethod; 6] = [
+const METHODS: [RegisterMethod; 4] = [
     RegisterMethod::FilterregPoint,
-    RegisterMethod::FilterregPlane,
     RegisterMethod::RansacIcp,
-    RegisterMethod::SurfaceTrack,
     RegisterMethod::SurfaceClose,
     RegisterMethod::SurfaceSearch,
 ];

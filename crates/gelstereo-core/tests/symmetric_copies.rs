@@ -182,12 +182,9 @@ fn row_10_the_parts_own_turns_are_named() {
     let problem = Problem::sense(&gel, t_sensor_object, Sensing::GOOD, &mut Stream::new(8, "named"));
     let declared = Symmetry::new(DVec3::Z, DVec3::ZERO, None).unwrap();
     let round = bare.clone().with_symmetries(vec![declared]);
-    for method in [
-        RegisterMethod::FilterregPlane,
-        RegisterMethod::SurfaceTrack,
-        RegisterMethod::SurfaceClose,
-        RegisterMethod::SurfaceSearch,
-    ] {
+    for method in
+        [RegisterMethod::FilterregPoint, RegisterMethod::SurfaceClose, RegisterMethod::SurfaceSearch]
+    {
         let settings = RegisterParams { method, ..Default::default() };
         let said = |template: &Template, guess: &Pose| {
             let found = Registrar::new(&settings).register(&problem.contact(), template, guess).unwrap();

@@ -106,7 +106,7 @@ impl RestSurface {
 /// salient : (rows * cols,) bool
 /// pressure_mm : (rows * cols,) float64
 ///     Pressure per stiffness by each marker's own differences; its noise is many times that of the
-///     indentation.
+///     indentation. 0 where one of these was not measured.
 ///
 /// Raises
 /// ------

@@ -13,7 +13,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 /// Localizes one part frame by frame: tracks it, detects that it is lost, and finds it again.
 ///
 /// The pose is tracked from the previous frame on the part's exact surface. The ``register.method``
-/// "surface_search" also uses the gel model; "surface_track" first uses the grid of distances. Between
+/// "surface_search" also uses the gel model; "surface_close" first uses the grid of distances. Between
 /// frames the part is assumed to move by a tenth of ``register.start_sigma_deg`` and
 /// ``register.start_sigma_mm``.
 ///

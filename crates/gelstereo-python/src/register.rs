@@ -495,9 +495,7 @@ impl Model {
     const fn of(method: RegisterMethod, has_all_markers: bool) -> Self {
         match method {
             RegisterMethod::SurfaceSearch if has_all_markers => Self::Gel,
-            RegisterMethod::SurfaceSearch | RegisterMethod::SurfaceClose | RegisterMethod::SurfaceTrack => {
-                Self::Surface
-            }
+            RegisterMethod::SurfaceSearch | RegisterMethod::SurfaceClose => Self::Surface,
             _ => Self::Samples,
         }
     }

@@ -55,8 +55,8 @@ impl Sensor {
         let rest = RestSurface::new(&points_mm).unwrap();
         let mut slips = StereoMismatch::default();
         let pitch_px = left_px[0].distance(left_px[1]);
-        let lattice = (scene.gel.cols, pitch_px);
-        slips.learn(&triangulator, &rest, [centres(&left_px), centres(&right_px)], lattice);
+        let views = [centres(&left_px), centres(&right_px)];
+        slips.learn(&triangulator, &rest, views, scene.gel.cols, pitch_px);
         if press_mm > 0.0 {
             let contact = press(scene, DVec3::new(0.1, 0.05, 0.3), DVec2::new(1.0, -0.7), press_mm);
             simulator(scene).truth(Some(&contact), &mut truth);

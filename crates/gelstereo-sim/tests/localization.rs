@@ -179,8 +179,8 @@ const MAX_DEGREES: f64 = 0.5;
 // axis is hardly held.
 
 #[test]
-fn filterreg_plane_finds_the_part_behind_a_soft_shoulder() {
-    for (press, (mm, degrees)) in presses().iter().zip(errors(RegisterMethod::FilterregPlane)) {
+fn surface_close_finds_the_part_behind_a_soft_shoulder() {
+    for (press, (mm, degrees)) in presses().iter().zip(errors(RegisterMethod::SurfaceClose)) {
         let known_miss = press.name == "board" && press.press_mm < 1.0;
         assert!(mm <= MAX_MM, "{}: {mm} mm", press.name);
         assert!(degrees <= MAX_DEGREES || known_miss, "{}: {degrees} degrees", press.name);

@@ -1,7 +1,7 @@
 //! Markers called in contact against the simulator's truth. The simulator's gel obeys the very law that saliency by
 //! pressure is built on, so that these figures flatter: they show what noise does, not what a real gel does.
 
-use gelstereo_core::contact::{AdaptiveSaliency, Pressure, QuickPressure, RestSurface, saliency};
+use gelstereo_core::contact::{AdaptiveSaliency, Pressure, RestSurface, saliency};
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::math::{DVec3, Pose};
 use gelstereo_core::track::MarkerState;
@@ -63,58 +63,55 @@ impl Score {
     }
 }
 
-/// Scores of (depth, pressure, quick pressure, adaptive) for heights whose noise has this standard deviation, of ten presses at places
-/// drawn up to so far from the middle.
-fn score(press: &Press, depth_mm: f64, sigma_mm: f64, drawn_mm: f64) -> [Score; 4] {
+/// Scores of (depth, pressure, adaptive) for heights whose noise has this standard deviation at a marker, of ten presses at
+/// places drawn up to so far from the middle.
+fn score(press: &Press, depth_mm: f64, sigma_mm: impl Fn(usize) -> f64, drawn_mm: f64) -> [Score; 3] {
     let scene = Scene { indenter: Some(press.shape.clone()), effects: Effects::of_gel(), ..Scene::default() };
     let mut simulator = Simulator::new(&scene, None).unwrap();
     let mut truth = Truth::default();
     simulator.truth(None, &mut truth);
     let rest = RestSurface::new(&truth.points_mm).unwrap();
     let mut pressure = Pressure::new(&rest, 25, 25, DECAY_MM).unwrap();
-    let mut quick = QuickPressure::new(&rest, 25, 25, DECAY_MM).unwrap();
     let mut adaptive = AdaptiveSaliency::new(&rest, 25, 25, DECAY_MM).unwrap();
     let mut random = Stream::new(7, press.name);
     let state = [MarkerState::Seen; 625];
-    let (mut scores, mut found) = ([Score::default(); 4], Vec::new());
+    let (mut scores, mut found) = ([Score::default(); 3], Vec::new());
     for _ in 0..10 {
         let centre = DVec3::new(4.0 + drawn_mm * random.uniform(), drawn_mm * random.uniform(), 40.0);
         let above = Pose { translation_mm: centre, ..Pose::exp(press.turn, DVec3::ZERO) };
         let contact = ContactState::pressed(simulator.pressed(above, depth_mm).unwrap());
         simulator.truth(Some(&contact), &mut truth);
-        let heights: Vec<f64> = truth.indentation_mm.iter().map(|h| h + sigma_mm * random.normal()).collect();
+        let heights: Vec<f64> =
+            truth.indentation_mm.iter().enumerate().map(|(i, h)| h + sigma_mm(i) * random.normal()).collect();
         saliency(&heights, &state, 0.35, &mut found);
         scores[0].add(&found, &truth.in_contact);
-        let variances = std::iter::repeat_n(sigma_mm * sigma_mm, 625);
+        let variances = (0..625).map(|i| sigma_mm(i) * sigma_mm(i));
         pressure.run(&heights, variances.clone(), &state, &mut found).unwrap();
         scores[1].add(&found, &truth.in_contact);
-        quick.run(&heights, variances.clone(), &state, &mut found).unwrap();
-        scores[2].add(&found, &truth.in_contact);
         adaptive.run(&heights, variances, &state, &mut found).unwrap();
-        scores[3].add(&found, &truth.in_contact);
+        scores[2].add(&found, &truth.in_contact);
     }
     scores
 }
 
 /// Scores of all presses at this noise, added up by whether the part has a flat face that lies level.
-fn scores(sigma_mm: f64) -> [[Score; 4]; 2] {
-    let mut all = [[Score::default(); 4]; 2];
+fn scores(sigma_mm: f64) -> [[Score; 3]; 2] {
+    let mut all = [[Score::default(); 3]; 2];
     for press in presses() {
         for &depth_mm in press.depths_mm {
-            let [depth, pressure, quick, adaptive] = score(&press, depth_mm, sigma_mm, 1.8);
+            let [depth, pressure, adaptive] = score(&press, depth_mm, |_| sigma_mm, 1.8);
             println!(
-                "{sigma_mm} mm  {:16} {depth_mm:.1} mm  F1 by depth {:.3}, by pressure {:.4}, quickly {:.4}, adaptive {:.4}  ({} true, {} missed, {} false)",
+                "{sigma_mm} mm  {:16} {depth_mm:.1} mm  F1 by depth {:.3}, by pressure {:.4}, adaptive {:.4}  ({} true, {} missed, {} false)",
                 press.name,
                 depth.f1(),
                 pressure.f1(),
-                quick.f1(),
                 adaptive.f1(),
                 pressure.truly,
                 pressure.truly - pressure.right,
                 pressure.found - pressure.right
             );
             let kind = &mut all[usize::from(press.name.starts_with("board"))];
-            for (sum, score) in kind.iter_mut().zip([depth, pressure, quick, adaptive]) {
+            for (sum, score) in kind.iter_mut().zip([depth, pressure, adaptive]) {
                 sum.right += score.right;
                 sum.found += score.found;
                 sum.truly += score.truly;
@@ -125,23 +122,40 @@ fn scores(sigma_mm: f64) -> [[Score; 4]; 2] {
 }
 
 /// The 0.995 that is asked for holds for level boards. On curved and tilted parts the pressure of markers at the contact's rim
-/// goes down to 0, and those below the noise cannot be told from free ones: there 1.000, 0.973 and 0.949 were measured,
-/// and the floors only keep them. The quick rung and the adaptive one are held to within 0.01 of the other.
+/// goes down to 0, and those below the noise cannot be told from free ones: there 1.000, 0.97 and 0.943 were measured,
+/// and the floors only keep them. The adaptive rung is held to within 0.01 of pressure.
 #[test]
 fn pressure_finds_the_contact_where_depth_does_not() {
-    for (sigma_mm, boards, others) in [(1e-5, 0.999, 0.999), (0.005, 0.998, 0.965), (0.010, 0.995, 0.94)] {
-        let [[other_depth, other_pressure, other_quick, other], [_, board_pressure, board_quick, board]] =
-            scores(sigma_mm);
-        let found = [board_pressure.f1(), other_pressure.f1(), other_depth.f1()];
-        println!("{sigma_mm} mm: boards {:.4}, others {:.4}, by depth {:.4}", found[0], found[1], found[2]);
-        let quick = [board_quick.f1(), other_quick.f1()];
-        println!("{sigma_mm} mm, quickly: boards {:.4}, others {:.4}", quick[0], quick[1]);
-        println!("{sigma_mm} mm, adaptive: boards {:.4}, others {:.4}", board.f1(), other.f1());
-        let adaptive = [board.f1(), other.f1()];
-        assert!(adaptive[0] >= boards && adaptive[1] >= found[1] - 0.01, "{sigma_mm} mm: {adaptive:?}");
-        assert!(quick[0] >= boards && quick[1] >= found[1] - 0.01, "{sigma_mm} mm, quickly: {quick:?}");
-        assert!(found[0] >= boards && found[1] >= others && found[2] < 0.7, "{sigma_mm} mm: {found:?}");
+    for (sigma_mm, boards, others) in [(1e-5, 0.999, 0.999), (0.005, 0.998, 0.965), (0.010, 0.995, 0.93)] {
+        let [other, board] = scores(sigma_mm).map(|kind| kind.map(|score| score.f1()));
+        println!("{sigma_mm} mm: boards {board:.4?}, others {other:.4?}");
+        assert!(
+            board[1] >= boards && other[1] >= others && other[0] < 0.7,
+            "{sigma_mm} mm: {board:?} {other:?}"
+        );
+        assert!(board[2] >= boards && other[2] >= other[1] - 0.01, "{sigma_mm} mm: {board:?} {other:?}");
     }
+}
+
+/// One marker in ten is ten times as noisy as the others, as under a reflection of a light. With the mean of the variances for
+/// all, pressure has 0.87 on the boards and 0.79 on the others; with their own, 0.98 and 0.93.
+#[test]
+fn markers_of_uneven_noise_are_weighed_by_it() {
+    let mut all = [[Score::default(); 3]; 2];
+    for press in presses() {
+        for &depth_mm in press.depths_mm {
+            let sigma_mm = |i: usize| if i % 10 == 3 { 0.1 } else { 0.01 };
+            let kind = &mut all[usize::from(press.name.starts_with("board"))];
+            for (sum, score) in kind.iter_mut().zip(score(&press, depth_mm, sigma_mm, 1.8)) {
+                sum.right += score.right;
+                sum.found += score.found;
+                sum.truly += score.truly;
+            }
+        }
+    }
+    let [other, board] = all.map(|kind| kind.map(|score| score.f1()));
+    println!("boards {board:.4?}, others {other:.4?}");
+    assert!(board[1..].iter().all(|&f1| f1 >= 0.97) && other[1..].iter().all(|&f1| f1 >= 0.9));
 }
 
 /// Where every marker that touches carries pressure beyond the noise, the contact is found to 0.995: ball and cylinder over the
@@ -155,9 +169,14 @@ fn contacts_that_end_clearly_are_found_to_0_995() {
     let lying = Press { name: "cylinder", shape: cylinder, turn: DVec3::X * FRAC_PI_2, depths_mm: &[1.2] };
     for press in [ball, lying] {
         for sigma_mm in [0.0075, 0.0115] {
-            let [_, pressure, quick, _] = score(&press, press.depths_mm[0], sigma_mm, 0.0);
-            println!("{} {sigma_mm} mm: {:.4}, quickly {:.4}", press.name, pressure.f1(), quick.f1());
-            assert!(pressure.f1() >= 0.995 && quick.f1() >= 0.995, "{}: {:?}", press.name, [pressure, quick]);
+            let [_, pressure, adaptive] = score(&press, press.depths_mm[0], |_| sigma_mm, 0.0);
+            println!("{} {sigma_mm} mm: {:.4}, adaptive {:.4}", press.name, pressure.f1(), adaptive.f1());
+            assert!(
+                pressure.f1() >= 0.995 && adaptive.f1() >= 0.995,
+                "{}: {:?}",
+                press.name,
+                [pressure, adaptive]
+            );
         }
     }
 }
@@ -171,20 +190,17 @@ fn noise_alone_touches_nothing() {
     let rest = RestSurface::new(&truth.points_mm).unwrap();
     let mut pressure = Pressure::new(&rest, 25, 25, DECAY_MM).unwrap();
     let mut random = Stream::new(1, "noise");
-    let mut quick = QuickPressure::new(&rest, 25, 25, DECAY_MM).unwrap();
     let mut adaptive = AdaptiveSaliency::new(&rest, 25, 25, DECAY_MM).unwrap();
-    let (mut found, mut alarms, mut quick_alarms, mut adaptive_alarms) = (Vec::new(), 0, 0, 0);
+    let (mut found, mut alarms, mut adaptive_alarms) = (Vec::new(), 0, 0);
     for _ in 0..1000 {
         let heights: Vec<f64> = (0..625).map(|_| 0.01 * random.normal()).collect();
         let variances = std::iter::repeat_n(1e-4, 625);
         pressure.run(&heights, variances.clone(), &[MarkerState::Seen; 625], &mut found).unwrap();
         alarms += usize::from(found.contains(&true));
-        quick.run(&heights, variances.clone(), &[MarkerState::Seen; 625], &mut found).unwrap();
-        quick_alarms += usize::from(found.contains(&true));
         adaptive.run(&heights, variances, &[MarkerState::Seen; 625], &mut found).unwrap();
         adaptive_alarms += usize::from(found.contains(&true));
     }
-    let all = [alarms, quick_alarms, adaptive_alarms];
+    let all = [alarms, adaptive_alarms];
     println!("false alarms in 1000 frames: {all:?}");
     assert!(all.iter().all(|&alarms| alarms < 5), "false alarms in 1000 frames: {all:?}");
 }

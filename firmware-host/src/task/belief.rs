@@ -9,7 +9,7 @@ use gelstereo_core::register::{
 };
 
 /// Number of poses kept: the likeliest and as many alternatives as a registration has.
-const MAX_POSES: usize = 1 + Alternatives::MOST;
+const MAX_POSES: usize = 1 + Alternatives::MAX_COUNT;
 
 /// Gaussian mixture of poses.
 #[derive(Clone, Debug)]

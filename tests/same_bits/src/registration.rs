@@ -51,9 +51,7 @@ pub fn methods(out: &mut Digests) -> Outcome<()> {
     for (part, mesh) in [("wedge", wedge()?), ("block", block()?)] {
         let (template, touches, mut touch) = (template(&mesh)?, touches(&mesh)?, Touch::default());
         let (frame, pose) = touches.first().ok_or("nothing touches")?;
-        for method in
-            every!(M: FilterregPoint FilterregPlane RansacIcp SurfaceTrack SurfaceClose SurfaceSearch)
-        {
+        for method in every!(M: FilterregPoint RansacIcp SurfaceClose SurfaceSearch) {
             let found = Registrar::new(&settings(method))
                 .register(&touch.of(frame), &template, &beside(pose))
                 .map_err(|error| format!("{part} by {method:?}: {error}"))?;
@@ -67,8 +65,7 @@ pub fn followed(out: &mut Digests) -> Outcome<()> {
     let mesh = wedge()?;
     let (template, touches, mut touch) = (template(&mesh)?, touches(&mesh)?, Touch::default());
     let (_, pose) = touches.first().ok_or("nothing touches")?;
-    for method in [RegisterMethod::SurfaceTrack, RegisterMethod::SurfaceClose, RegisterMethod::SurfaceSearch]
-    {
+    for method in [RegisterMethod::SurfaceClose, RegisterMethod::SurfaceSearch] {
         let mut localizer = Localizer::new(&settings(method), &beside(pose));
         let mut digest = Digest::new();
         for (frame, _) in &touches {

@@ -87,7 +87,7 @@ pub fn rungs(out: &mut Digests) -> Outcome<()> {
     for rung in every!(DiscBias: Ignored Corrected) {
         add(format!("disc_bias/{rung:?}"), &of_dark, &|params| params.triangulate.disc_bias = rung)?;
     }
-    for rung in every!(Saliency: Depth Pressure PressureQuick Adaptive) {
+    for rung in every!(Saliency: Depth Pressure Adaptive) {
         add(format!("saliency/{rung:?}"), &of_dark, &|params| params.contact.saliency = rung)?;
     }
     add("learn_decay".into(), &of_dark, &|params| {

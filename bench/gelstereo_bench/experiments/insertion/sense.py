@@ -69,7 +69,6 @@ class Method:
 #: The paper's two methods, with the paper's sensing, and ours.
 METHODS = (
     Method("FilterReg, point to point", "paper", "filterreg_point"),
-    Method("FilterReg, point to plane", "paper", "filterreg_plane"),
     Method("RANSAC + ICP", "paper", "ransac_icp"),
     Method("surface search", "balanced", "surface_search", tries_all=True, taught_rad=(-0.4, -0.2, 0.2, 0.4)),
 )

@@ -10,13 +10,13 @@
 //! tension, for an elastic layer and for a gel without any shoulder. So the border of the contact is
 //! where the curvature changes its sign, like an edge in an image (Marr and Hildreth 1980). A single
 //! second difference is too noisy for a rule of its own, but the sum over a contact and its ring is not.
-//! It selects among a few candidates: the markers in contact by [`QuickPressure`] for the longest decay
+//! It selects among a few candidates: the markers in contact by [`Pressure`] for the longest decay
 //! length, those with significant pressure for shorter ones, and those indented by more than a share of
 //! the deepest indentation. For an elastic half-space under a ball the share is a half (Hertz 1882); in
 //! thin layers it is less.
 
-use super::quick::QuickPressure;
-use super::rule::{MIN_SIGMA_MM, START};
+use super::pressure::Pressure;
+use super::rule::{self, MIN_SIGMA_MM, START};
 use super::stencils::Regions;
 use super::{ContactError, RestSurface};
 use crate::math::{abs, sqrt};
@@ -25,7 +25,7 @@ use alloc::vec::Vec;
 
 /// Decay lengths tried in addition to the given one, as shares of it. With 2.5 mm they are 1.6 to 0.5 mm.
 /// Their pressures are hardly noisier than the heights, so a threshold suffices: iterating the labels as
-/// in [`QuickPressure`] costs four times as much as everything else here, and gains up to 0.009 of F1 on
+/// in [`Pressure`] costs four times as much as everything else here, and gains up to 0.009 of F1 on
 /// the development half of the finite-element contacts with 5 um of noise, 0.006 with 10 um.
 const SHORTER: [f64; 4] = [0.64, 0.4, 0.28, 0.2];
 /// Smallest and largest share of the deepest indentation tried, in steps. On the development half of the
@@ -64,10 +64,7 @@ pub enum ContactRule {
 /// Finds the markers in contact for a gel with unknown law; scratch is kept from frame to frame.
 #[derive(Clone, Debug, Default)]
 pub struct AdaptiveSaliency {
-    pressure: QuickPressure,
-    /// For each length of [`SHORTER`] and each marker: reciprocal standard deviation of the pressure for
-    /// heights of variance 1.
-    per_noise: [Vec<f64>; SHORTER.len()],
+    pressure: Pressure,
     /// Signed square root of every marker's curvature, which limits the influence of single markers; 0
     /// where a height is missing.
     bend: Vec<f64>,
@@ -87,19 +84,15 @@ impl AdaptiveSaliency {
     /// length tried.
     ///
     /// # Errors
-    /// As [`QuickPressure::new`].
+    /// As [`Pressure::new`].
     pub fn new(
         rest: &RestSurface,
         rows: usize,
         cols: usize,
         max_decay_mm: f64,
     ) -> Result<Self, ContactError> {
-        let pressure = QuickPressure::new(rest, rows, cols, max_decay_mm)?;
-        let per_noise = SHORTER.map(|share| {
-            let weights = pressure.stencils().weights.iter();
-            weights.map(|weights| 1.0 / sqrt(shorter_noise(weights, share))).collect()
-        });
-        let mut adaptive = Self { pressure, per_noise, ..Self::default() };
+        let pressure = Pressure::new(rest, rows, cols, max_decay_mm)?;
+        let mut adaptive = Self { pressure, ..Self::default() };
         let markers = rows * cols;
         let Self { bend, variance_mm2, evidence, candidate, seen_mm, steps, counts, regions, .. } =
             &mut adaptive;
@@ -115,7 +108,7 @@ impl AdaptiveSaliency {
     /// cleared first; no allocation once it has held this many.
     ///
     /// # Errors
-    /// As [`QuickPressure::run`]; `out` is then empty.
+    /// As [`Pressure::run`]; `out` is then empty.
     pub fn run(
         &mut self,
         indentation_mm: &[f64],
@@ -175,21 +168,27 @@ impl AdaptiveSaliency {
                 lattice.taps(i).for_each(|(k, weight)| counts[k] += weight);
             }
         }
-        let sigma_mm = pressure.sigma_mm() * sqrt(counts.iter().map(|count| count * count).sum::<f64>());
-        abs(sum_mm) <= LAW_MARGIN.0 * sigma_mm + LAW_MARGIN.1 * heights_mm
+        let variances =
+            counts.iter().zip(pressure.variance_mm2()).map(|(count, variance)| count * count * variance);
+        abs(sum_mm) <= LAW_MARGIN.0 * sqrt(variances.sum::<f64>()) + LAW_MARGIN.1 * heights_mm
     }
 
     /// Candidate by pressure for the shorter decay length of this index: p = h - l² Δh is linear in l².
     fn press(&mut self, k: usize, indentation_mm: &[f64], state: &[MarkerState]) {
-        let Self { pressure, per_noise, candidate, evidence, regions, .. } = self;
+        let Self { pressure, candidate, evidence, regions, .. } = self;
         let share2 = SHORTER[k] * SHORTER[k];
-        let per_sigma = 1.0 / pressure.sigma_mm();
         let (pressure_mm, valid) = pressure.measured();
-        let pressures = indentation_mm.iter().zip(pressure_mm).zip(valid).zip(&per_noise[k]);
         evidence.clear();
-        evidence.extend(pressures.map(|(((&h, &longest), &valid), &per_noise)| {
-            let sigmas = if valid { (h - share2 * (h - longest)) * per_sigma * per_noise } else { 0.0 };
-            sigmas * abs(sigmas)
+        evidence.extend(indentation_mm.iter().enumerate().map(|(i, &h)| {
+            if !valid[i] {
+                return 0.0;
+            }
+            // Its own height and those around it are independent.
+            let (own, variance_mm2) = (pressure.stencils().weights[i][0], pressure.variance_mm2()[i]);
+            let around_mm2 = pressure.noise_mm2()[i] - own * own * variance_mm2;
+            let own = 1.0 + share2 * (own - 1.0);
+            let noise_mm2 = own * own * variance_mm2 + share2 * share2 * around_mm2;
+            rule::evidence(h - share2 * (h - pressure_mm[i]), noise_mm2)
         }));
         candidate.clear();
         candidate.extend(evidence.iter().map(|&evidence| evidence > START * START));
@@ -271,15 +270,6 @@ impl AdaptiveSaliency {
             if curvature < 0.0 { -sqrt(-curvature) } else { sqrt(curvature) }
         }));
     }
-}
-
-/// Variance of the pressure for heights of variance 1, with a decay length of `share` times that of these
-/// weights.
-fn shorter_noise(weights: &[f64; 5], share: f64) -> f64 {
-    let share2 = share * share;
-    let [own, around @ ..] = weights;
-    let own = 1.0 + share2 * (own - 1.0);
-    own * own + share2 * share2 * around.iter().map(|weight| weight * weight).sum::<f64>()
 }
 
 /// Concavity of the gel in a candidate plus convexity in the ring around it, divided by the root of the

@@ -79,14 +79,14 @@ impl DecayFit {
             let h = indentation_mm[i];
             let curvature = (h - pressure.pressure_mm()[i]) / l2;
             // The marker's noise is in both factors.
-            let own = pressure.taps(i).next().map_or(0.0, |(_, weight)| (1.0 - weight) / l2);
+            let own = pressure.stencils().taps(i).next().map_or(0.0, |(_, weight)| (1.0 - weight) / l2);
             self.heights_mm2 += h * h - variance_mm2[i];
             self.curvatures += h * curvature - own * variance_mm2[i];
             self.markers += 1;
             self.gradient[i][0] += curvature + h / l2;
             self.gradient[i][1] += 2.0 * h;
             let mut squares = 0.0;
-            for (k, weight) in pressure.taps(i) {
+            for (k, weight) in pressure.stencils().taps(i) {
                 self.gradient[k][0] -= h * weight / l2;
                 squares += variance_mm2[k] * weight * weight / (l2 * l2);
             }
@@ -106,10 +106,10 @@ impl DecayFit {
         self.free.clear();
         self.free.extend((0..salient.len()).map(|i| {
             let seen = |(k, _): (usize, f64)| state[k] == MarkerState::Seen;
-            pressure.taps(i).count() == 5 && pressure.taps(i).all(seen)
+            pressure.stencils().taps(i).count() == 5 && pressure.stencils().taps(i).all(seen)
         }));
         for i in (0..salient.len()).filter(|&i| salient[i]) {
-            pressure.window(i, MARGIN).for_each(|k| self.free[k] = false);
+            pressure.stencils().window(i, MARGIN).for_each(|k| self.free[k] = false);
         }
     }
 

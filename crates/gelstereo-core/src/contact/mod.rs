@@ -2,18 +2,18 @@
 //! triggers.
 
 mod adaptive;
+mod covariances;
 mod decay;
-mod kriging;
+mod detector;
 mod pressure;
-mod quick;
 mod rule;
 mod stencils;
 mod stereo_mismatch;
 
 pub use adaptive::{AdaptiveSaliency, ContactRule};
 pub use decay::{Decay, DecayFit};
+pub use detector::{ContactDetector, MarkerHeights};
 pub use pressure::Pressure;
-pub use quick::QuickPressure;
 pub use stereo_mismatch::StereoMismatch;
 
 use crate::math::linalg::{Symmetric, eigen};

@@ -65,7 +65,8 @@ impl StereoMismatch {
         triangulator: &Triangulator,
         rest: &RestSurface,
         [left, right]: [Centres<'_>; 2],
-        (cols, pitch_px): (usize, f64),
+        cols: usize,
+        pitch_px: f64,
     ) {
         let ready = triangulator.ready();
         let height = |i: usize, step_px: f64| {
@@ -74,11 +75,11 @@ impl StereoMismatch {
             Some((point.point_mm - rest.points_mm()[i]).dot(rest.normal()).abs())
         };
         // Away from the camera, a slip is larger than towards it.
-        let least = |i: usize| Some(height(i, -pitch_px)?.min(height(i, pitch_px).unwrap_or(f64::INFINITY)));
+        let lowest = |i: usize| Some(height(i, -pitch_px)?.min(height(i, pitch_px).unwrap_or(f64::INFINITY)));
         let markers = rest.points_mm().len();
         // It hardly varies over the gel, so the median of a few markers suffices.
         let few = (0..markers).step_by((markers / MARKERS_TO_LEARN).max(1));
-        let mut heights: Vec<f64> = few.filter_map(least).collect();
+        let mut heights: Vec<f64> = few.filter_map(lowest).collect();
         self.cols = cols.max(1);
         self.slip_mm = median(&mut heights).filter(|mm| *mm > 0.0).unwrap_or(f64::INFINITY);
         self.parent.reserve(markers);
@@ -168,14 +169,14 @@ impl StereoMismatch {
     fn join(&mut self, heights_mm: &[f64], state: &[MarkerState]) {
         self.parent.clear();
         self.parent.extend(0..heights_mm.len() as u32);
-        let most_mm = APART * self.slip_mm;
+        let max_mm = APART * self.slip_mm;
         for i in (0..heights_mm.len()).filter(|&i| state[i] == MarkerState::Seen) {
             let row_end = (i / self.cols + 1) * self.cols;
             let right = (i + 1..row_end).find(|&j| state[j] == MarkerState::Seen);
             let below = (i + self.cols..heights_mm.len()).step_by(self.cols);
             let below = below.into_iter().find(|&j| state[j] == MarkerState::Seen);
             for j in [right, below].into_iter().flatten() {
-                if (heights_mm[i] - heights_mm[j]).abs() < most_mm {
+                if (heights_mm[i] - heights_mm[j]).abs() < max_mm {
                     let (a, b) = (self.root(i as u32), self.root(j as u32));
                     self.parent[a.max(b) as usize] = a.min(b);
                 }

@@ -12,9 +12,6 @@ pub enum Saliency {
     Depth,
     /// The gel carries pressure there, beyond what the measured noise explains: [`Pressure`](crate::contact::Pressure).
     Pressure,
-    /// The same by fewer neighbours, with all heights taken as equally noisy:
-    /// [`QuickPressure`](crate::contact::QuickPressure).
-    PressureQuick,
     /// By pressure for several decay lengths up to `decay_mm`, and by several shares of the deepest indentation: the
     /// candidate whose border parts concave from convex gel best:
     /// [`AdaptiveSaliency`](crate::contact::AdaptiveSaliency).
@@ -32,8 +29,8 @@ pub struct ContactParams {
     /// The rule that decides which markers the part touches. Default: `depth`. Set `pressure` if you know the
     /// gel's decay length `decay_mm`.
     pub saliency: Saliency,
-    /// Length over which the gel's surface comes back to rest beside a contact, for `saliency = pressure` and
-    /// `pressure_quick`, and the longest that `adaptive` tries: half of the gel's thickness is a fair guess.
+    /// Length over which the gel's surface comes back to rest beside a contact, for `saliency = pressure`,
+    /// and the longest that `adaptive` tries: half of the gel's thickness is a fair guess.
     /// Rather too long than too short: 20 % too short takes half of the shoulder. A few presses of any part
     /// tell it to some percent: [`DecayFit`](crate::contact::DecayFit). Valid: 0.001 to 1000 mm. Default:
     /// `2.5` mm. Change it to your gel's own length.

@@ -12,25 +12,19 @@ pub enum RegisterMethod {
     /// FilterReg, point to point (the paper): 100 / 100 / 56 %, 11 ms.
     #[default]
     FilterregPoint,
-    /// FilterReg, point to plane, with a one-sided model of the gel's shoulder: 100 / 100 / 100 %, 4 ms.
-    FilterregPlane,
     /// RANSAC, then point-to-point ICP (the paper's comparison): 100 / 81 / 19 %, 47 ms. It draws points by their number, so
     /// that another order of points is another seed; for the other rungs it is rounding, or nothing.
     RansacIcp,
-    /// Steps on a field of distances to the part, from a pose that is nearly right, as the last frame's is: 0.1 ms.
-    /// It looks at salient points alone, and from 5 degrees and 1 mm off it finds 61 % of the contacts below. It looks for
+    /// The exact surface of the part, from one close guess: 95 / 88 / 88 / 57 %, 1.3 times the bound, 0.5 ms. It looks for
     /// no alternatives: where several poses explain a contact it follows the one that it starts from.
     ///
-    /// The three surface rungs need a template of a mesh with such a field. Their figures are contacts found to 2
+    /// The surface methods need a template of a mesh with a field of distances. Their figures are contacts found to 2
     /// degrees and 0.3 mm over the directions that the contact determines, on six parts with shoulder, 0.03 mm along z,
     /// from guesses up to 5 degrees 1 mm / 10 degrees 2 mm / the same with twice the noise and a tenth of outliers /
     /// 30 degrees 5 mm off, and the median error over the Cramér-Rao bound (simulated; the example `starts`).
     ///
     /// They know lengths of a usual gel: how far its shoulder reaches, how far steps may go. Of a sensor that is larger or
     /// smaller as a whole [`AdvancedRegisterParams::gel_scale`] says by how much; then answers scale with all that is sensed.
-    SurfaceTrack,
-    /// The exact surface of the part, from a close guess: 95 / 88 / 88 / 57 %, 1.3 times the bound, 0.5 ms. It looks for no
-    /// alternatives either.
     SurfaceClose,
     /// The exact surface from many starts around the guess, with the markers that nothing presses: 97 / 97 / 97 / 98 %, 1.2
     /// times the bound, 9 ms; of the bolt alone 85 %, on whose threads a gel finer than the markers hangs as they do not
@@ -49,7 +43,7 @@ pub enum RegisterMethod {
 )]
 pub struct RegisterParams {
     /// How a contact patch is registered to the template. Default: `filterreg_point`. Change it to
-    /// `surface_track` or `surface_close` to save time where the guess is good.
+    /// `surface_search` for a mesh, or to `surface_close` to save time where the guess is good.
     pub method: RegisterMethod,
     /// Standard deviation of a salient point along the surface's normal; it scales the information matrix.
     /// Valid: 0.000001 to 10000 mm. Default: `0.03` mm. Change it to the noise of heights of a gel at rest.
@@ -61,7 +55,7 @@ pub struct RegisterParams {
     /// The same of the guess's place. Valid: 0.000001 to 10000 mm. Default: `2` mm. Change it to how well the
     /// part's place is known.
     pub start_sigma_mm: f64,
-    /// FilterReg: `filterreg_point` and `filterreg_plane`.
+    /// FilterReg: `filterreg_point`.
     pub filterreg: FilterregParams,
     /// RANSAC with ICP.
     pub ransac_icp: RansacIcpParams,
@@ -71,7 +65,7 @@ pub struct RegisterParams {
     pub advanced: AdvancedRegisterParams,
 }
 
-/// FilterReg: `filterreg_point` and `filterreg_plane`.
+/// FilterReg: `filterreg_point`.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(
     feature = "serde",
@@ -223,6 +217,11 @@ impl RegisterParams {
     /// A length of the usual gel, of one of this scale.
     pub(crate) fn scaled(&self, mm: f64) -> f64 {
         mm * self.advanced.gel_scale
+    }
+
+    /// Distance between the markers of the usual gel, of one of this scale: what `gel_scale` is relative to.
+    pub(crate) fn usual_pitch_mm(&self) -> f64 {
+        self.scaled(0.9)
     }
 
     /// How well the guess is known, as it is set.

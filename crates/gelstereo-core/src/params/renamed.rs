@@ -18,10 +18,13 @@ const SETTINGS: [(&str, &str); 13] = [
 ];
 
 /// Methods that were dropped, by setting, and the one that is better in every respect.
-const METHODS: [(&str, &str, &str); 3] = [
+const METHODS: [(&str, &str, &str); 6] = [
+    ("contact.saliency", "pressure_quick", "pressure"),
     ("detect.background", "box", "blocks"),
     ("label.method", "temporal", "lattice"),
+    ("register.method", "filterreg_plane", "surface_close"),
     ("register.method", "icp_plane", "surface_close"),
+    ("register.method", "surface_track", "surface_close"),
 ];
 
 /// The present name of a setting that was renamed, for example of `register.budget`.

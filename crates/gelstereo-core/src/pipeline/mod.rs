@@ -16,16 +16,13 @@ pub use frame::{Frame, LabelSource, Searched, Touch, ViewEvidence};
 pub use pitch::PitchCheck;
 pub use rest_record::{RestRecord, RestRecordError, RestView};
 
-use crate::contact::{
-    self, AdaptiveSaliency, ContactRule, Decay, DecayFit, Pressure, QuickPressure, RestSurface,
-    StereoMismatch,
-};
+use crate::contact::{self, ContactDetector, ContactRule, Decay, MarkerHeights, RestSurface, StereoMismatch};
 use crate::detect::DetectError;
 use crate::image::GrayView;
 use crate::lattice::LatticeFinder;
 use crate::math::linalg::Symmetric;
 use crate::math::{DVec2, DVec3};
-use crate::params::{DiscBias, Params, Saliency};
+use crate::params::{DiscBias, Params};
 use crate::rig::Rig;
 use crate::track::{MarkerState, Tracks};
 use crate::triangulate::{Centres, Triangulator};
@@ -42,11 +39,7 @@ pub struct Pipeline {
     left: ViewStages,
     right: ViewStages,
     rest: Option<RestSurface>,
-    pressure: Pressure,
-    quick_pressure: QuickPressure,
-    adaptive: AdaptiveSaliency,
-    contact_rule: Option<ContactRule>,
-    decay: DecayFit,
+    contact: ContactDetector,
     rest_variance_mm2: Vec<f64>,
     epipolar: Epipolar,
     reference_px: Vec<DVec2>,
@@ -91,11 +84,7 @@ impl Pipeline {
             left: ViewStages::new(View::Left, size(&rig.left), params),
             right: ViewStages::new(View::Right, size(&rig.right), params),
             rest: None,
-            pressure: Pressure::default(),
-            quick_pressure: QuickPressure::default(),
-            adaptive: AdaptiveSaliency::default(),
-            contact_rule: None,
-            decay: DecayFit::default(),
+            contact: ContactDetector::new(&params.contact),
             rest_variance_mm2: Vec::new(),
             epipolar: Epipolar::default(),
             reference_px: Vec::new(),
@@ -131,14 +120,14 @@ impl Pipeline {
     /// suffice, or without `contact.learn_decay`.
     #[must_use]
     pub fn decay(&self) -> Option<Decay> {
-        self.decay.decay()
+        self.contact.decay()
     }
 
     /// The rule that found the last frame's contact with `contact.saliency = adaptive`; `None` otherwise,
     /// and without contact.
     #[must_use]
     pub const fn contact_rule(&self) -> Option<ContactRule> {
-        self.contact_rule
+        self.contact.rule()
     }
 
     /// Factor applied to the variances of the centres: actual over stated noise, from the epipolar
@@ -157,8 +146,7 @@ impl Pipeline {
     /// Clears tracks, rest surface and reference: the next frame is the rest frame.
     pub fn reset(&mut self) {
         self.rest = None;
-        self.decay.start(0);
-        self.contact_rule = None;
+        self.contact.forget();
         self.epipolar = Epipolar::default();
         self.frames = 0;
         self.resumes = false;
@@ -294,24 +282,9 @@ impl Pipeline {
     /// Uses this surface, of the views' present tracks, as the rest surface.
     fn rest_on(&mut self, rest: RestSurface) -> Result<(), PipelineError> {
         let (left, right) = (self.left.labelled(), self.right.labelled());
-        let (rows, cols, decay_mm) = (self.left.rows, self.left.cols, self.params.contact.decay_mm);
-        match self.params.contact.saliency {
-            Saliency::Depth => {}
-            Saliency::Pressure => {
-                self.pressure = Pressure::new(&rest, rows, cols, decay_mm).map_err(PipelineError::Contact)?;
-                self.decay.start(if self.params.contact.learn_decay { rows * cols } else { 0 });
-            }
-            Saliency::PressureQuick => {
-                let quick = QuickPressure::new(&rest, rows, cols, decay_mm);
-                self.quick_pressure = quick.map_err(PipelineError::Contact)?;
-            }
-            Saliency::Adaptive => {
-                let adaptive = AdaptiveSaliency::new(&rest, rows, cols, decay_mm);
-                self.adaptive = adaptive.map_err(PipelineError::Contact)?;
-            }
-        }
-        let lattice = (self.left.cols, self.left.pitch_px);
-        self.slips.learn(&self.triangulator, &rest, [centres(left), centres(right)], lattice);
+        self.contact.start(&rest, self.left.rows, self.left.cols).map_err(PipelineError::Contact)?;
+        let (cols, pitch_px) = (self.left.cols, self.left.pitch_px);
+        self.slips.learn(&self.triangulator, &rest, [centres(left), centres(right)], cols, pitch_px);
         copy_into(&left.positions_px, &mut self.reference_px);
         self.rest = Some(rest);
         Ok(())
@@ -368,22 +341,6 @@ impl Pipeline {
         Ok(())
     }
 
-    /// Updates the decay length for later frames.
-    fn learn_decay(&mut self, out: &Frame) -> Result<(), PipelineError> {
-        if !self.params.contact.learn_decay || self.rest.is_none() {
-            return Ok(());
-        }
-        self.decay.add(&self.pressure, &out.indentation_mm, &out.state, &out.salient);
-        let used_mm = self.pressure.decay_mm();
-        let apart = |found: &Decay| crate::math::abs(found.decay_mm - used_mm) > DECAY_KNOWN * used_mm;
-        match self.decay.decay().filter(|found| found.sigma_mm < DECAY_KNOWN * found.decay_mm) {
-            Some(found) if apart(&found) => {
-                self.pressure.set_decay(found.decay_mm).map_err(PipelineError::Contact)
-            }
-            _ => Ok(()),
-        }
-    }
-
     /// Computes the variances of the heights above rest, and which markers are known well enough for
     /// contact detection.
     fn judge_heights(&mut self, state: &[MarkerState]) {
@@ -401,40 +358,19 @@ impl Pipeline {
         copy_into(&self.right.labelled().positions_px, &mut out.right_px);
         (out.rows, out.cols) = (self.left.rows, self.left.cols);
         self.judge_heights(&out.state);
-        let settings = &self.params.contact;
-        let (heights_mm, salient) = (&out.indentation_mm, &mut out.salient);
         let Heights { variance_mm2, state, .. } = &self.heights;
-        let variances = variance_mm2.iter().copied();
-        match (settings.saliency, &self.rest) {
-            (Saliency::Pressure, Some(_)) => self.pressure.run(heights_mm, variances, state, salient),
-            (Saliency::PressureQuick, Some(_)) => {
-                self.quick_pressure.run(heights_mm, variances, state, salient)
-            }
-            (Saliency::Adaptive, Some(_)) => {
-                let found = self.adaptive.run(heights_mm, variances, state, salient);
-                found.map(|rule| self.contact_rule = rule)
-            }
-            _ => {
-                contact::saliency(heights_mm, state, settings.saliency_mm, salient);
-                Ok(())
-            }
-        }
-        .map_err(PipelineError::Contact)?;
-        contact::patch(&out.indentation_mm, &out.salient, settings.patch_share, &mut out.patch);
-        let learns = settings.saliency == Saliency::Pressure && self.rest.is_some();
-        out.decay_mm = if learns { self.pressure.decay_mm() } else { settings.decay_mm };
+        let seen = MarkerHeights { indentation_mm: &out.indentation_mm, variance_mm2, state };
+        self.contact.run(&seen, &mut out.salient).map_err(PipelineError::Contact)?;
+        let share = self.params.contact.patch_share;
+        contact::patch(&out.indentation_mm, &out.salient, share, &mut out.patch);
+        out.decay_mm = self.contact.decay_mm();
         out.motion_px = contact::mean_motion_px(&self.reference_px, &out.left_px, &out.state);
         out.left = self.left.evidence;
         out.right = self.right.evidence;
-        self.learn_decay(out)?;
         self.frames += 1;
         Ok(())
     }
 }
-
-/// Relative accuracy from which a learned decay length is used, and relative change from which it is
-/// updated.
-const DECAY_KNOWN: f64 = 0.02;
 
 fn centres(tracks: &Tracks) -> Centres<'_> {
     Centres { positions_px: &tracks.positions_px, covariance_px2: &tracks.covariance_px2 }

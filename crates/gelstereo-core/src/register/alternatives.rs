@@ -17,23 +17,23 @@ pub struct Alternative {
     pub log_likelihood: f64,
 }
 
-/// The other poses, most likely first, at most [`Self::MOST`], without allocation. Dereferences to, and
+/// The other poses, most likely first, at most [`Self::MAX_COUNT`], without allocation. Dereferences to, and
 /// prints as, a slice.
 #[derive(Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Alternatives {
-    all: [Alternative; Self::MOST],
+    all: [Alternative; Self::MAX_COUNT],
     count: usize,
     is_cut: bool,
 }
 
 impl Alternatives {
     /// Largest number kept.
-    pub const MOST: usize = 8;
+    pub const MAX_COUNT: usize = 8;
 
     /// No other poses.
     pub const NONE: Self = Self {
-        all: [Alternative { t_sensor_object: Pose::IDENTITY, log_likelihood: 0.0 }; Self::MOST],
+        all: [Alternative { t_sensor_object: Pose::IDENTITY, log_likelihood: 0.0 }; Self::MAX_COUNT],
         count: 0,
         is_cut: false,
     };

@@ -211,8 +211,8 @@ impl Reader<'_> {
     /// Reads a count of items of `each` bytes; fails if the remaining bytes cannot hold them.
     fn count(&mut self, each: usize) -> Result<usize, TemplateBytesError> {
         let count = self.u64()?;
-        let most = (self.bytes.len() - self.at) / each;
-        if count <= most as u64 { Ok(count as usize) } else { Err(self.damaged()) }
+        let max_count = (self.bytes.len() - self.at) / each;
+        if count <= max_count as u64 { Ok(count as usize) } else { Err(self.damaged()) }
     }
 
     fn rows(&mut self) -> Result<Vec<DVec3>, TemplateBytesError> {

@@ -13,7 +13,7 @@ pub enum TemplateError {
         /// Points found.
         found: usize,
         /// Points needed.
-        least: usize,
+        min_points: usize,
     },
     /// More points than a template may hold.
     TooMany {
@@ -55,8 +55,8 @@ pub enum TemplateError {
 impl core::fmt::Display for TemplateError {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         match self {
-            Self::TooFew { found, least } => {
-                write!(f, "{found} template points; at least {least} are needed: reduce the spacing")
+            Self::TooFew { found, min_points } => {
+                write!(f, "{found} template points; at least {min_points} are needed: reduce the spacing")
             }
             Self::TooMany { found, spacing_mm } => write!(
                 f,
@@ -112,7 +112,7 @@ pub enum RegisterError {
         /// Points found.
         found: usize,
         /// Points needed.
-        least: usize,
+        min_points: usize,
     },
     /// A salient point is NaN, infinite or beyond 1e12 mm.
     PointNotFinite {
@@ -147,7 +147,7 @@ pub enum RegisterError {
         /// Angle between the patch's normal and the press direction.
         angle_deg: f64,
         /// The largest valid angle.
-        most_deg: f64,
+        max_deg: f64,
         /// The press direction.
         press_direction: [f64; 3],
     },
@@ -173,7 +173,7 @@ pub enum RegisterError {
         /// Points within reach.
         within: usize,
         /// Points needed.
-        least: usize,
+        min_points: usize,
         /// Distance of the nearest point to the template.
         nearest_mm: f64,
         /// The reach.
@@ -188,9 +188,9 @@ impl core::fmt::Display for RegisterError {
         match self {
             Self::Params(error) => error.fmt(f),
             Self::Stopped => Stopped.fmt(f),
-            Self::TooFewPoints { found, least } => write!(
+            Self::TooFewPoints { found, min_points } => write!(
                 f,
-                "{found} salient points; at least {least} are needed: press harder, or lower contact.saliency_mm"
+                "{found} salient points; at least {min_points} are needed: press harder, or lower contact.saliency_mm"
             ),
             Self::PointNotFinite { index } => write!(
                 f,
@@ -219,10 +219,10 @@ impl core::fmt::Display for RegisterError {
             Self::PressDirection => {
                 write!(f, "the press direction is no unit vector; give the way from the part into the gel")
             }
-            Self::PatchAside { angle_deg, most_deg, press_direction: [x, y, z] } => write!(
+            Self::PatchAside { angle_deg, max_deg, press_direction: [x, y, z] } => write!(
                 f,
                 "the patch's normal is {angle_deg:.0} degrees from the way of the press, ({x:.2}, {y:.2}, {z:.2}); valid is \
-                 up to {most_deg:.0}: hand over press_direction, the way from the part into the gel, if the part was not \
+                 up to {max_deg:.0}: hand over press_direction, the way from the part into the gel, if the part was not \
                  pressed toward the camera, or check the frame of the points"
             ),
             Self::Decay { found_mm } => {
@@ -242,9 +242,9 @@ impl core::fmt::Display for RegisterError {
                 "the covariance of point {index} is not finite, is zero, or has a negative eigenvalue; give mm², positive \
                  semidefinite"
             ),
-            Self::OutOfReach { within, least, nearest_mm, reach_mm } => write!(
+            Self::OutOfReach { within, min_points, nearest_mm, reach_mm } => write!(
                 f,
-                "{within} salient points lie within {reach_mm} mm of the template, {least} are needed; the nearest \
+                "{within} salient points lie within {reach_mm} mm of the template, {min_points} are needed; the nearest \
                  is {nearest_mm:.3} mm away: give a better guess, or check frames and units"
             ),
         }

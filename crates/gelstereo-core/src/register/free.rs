@@ -203,9 +203,9 @@ impl Subspace {
     }
 
     /// Translations of which at least the share `least` lies in the space.
-    fn pure_translations(&self, least: f64) -> Axes {
+    fn pure_translations(&self, min_share: f64) -> Axes {
         let eigen = linalg::eigen(&self.block(3, 3));
-        let count = eigen.values.iter().filter(|&&share| share >= least).count();
+        let count = eigen.values.iter().filter(|&&share| share >= min_share).count();
         along_axes(&eigen.vectors, count)
     }
 
@@ -216,11 +216,11 @@ impl Subspace {
     }
 
     /// Removes the twist (ω, v) from the space if at least the share `least` of it lies in there.
-    fn take(&mut self, omega: DVec3, v: DVec3, radius_mm: f64, least: f64) -> bool {
+    fn take(&mut self, omega: DVec3, v: DVec3, radius_mm: f64, min_share: f64) -> bool {
         let z = stack(omega * radius_mm, v);
         let mut inside: Vector6 = core::array::from_fn(|row| dot(&self.projection[row], &z));
         let squared = dot(&inside, &inside);
-        let is_inside = squared >= least * dot(&z, &z);
+        let is_inside = squared >= min_share * dot(&z, &z);
         if is_inside {
             inside.iter_mut().for_each(|x| *x /= sqrt(squared));
             self.add(&inside, -1.0);

@@ -1,7 +1,7 @@
 //! Frame-to-frame localization: follow the part, detect loss, and relocalize.
 
 use super::observe::PatchFrame;
-use super::surface::UsualResiduals;
+use super::surface::{Rung, UsualResiduals};
 use super::template::Template;
 use super::{Contact, Misfit, RegisterError, Registrar, Registration};
 use crate::math::Pose;
@@ -40,10 +40,11 @@ pub struct Located {
 /// Localizes one part frame by frame.
 ///
 /// Tracking needs one start, from the previous pose. With the `register.method` `surface_search` it uses
-/// that method from one start, which includes the gel model. With `surface_track` it uses that, then
-/// `surface_close` if it fails; otherwise `surface_close`. The prior of the motion between frames is a
-/// tenth of the guess's (`register.start_sigma_deg`, `register.start_sigma_mm`), so that weakly
-/// determined directions do not drift.
+/// that method from one start, which includes the gel model. With `surface_close` it takes a few steps on
+/// the field of distances, and uses that method where these fail; with methods on samples it uses
+/// `surface_close`. The prior of the motion between frames is a tenth of the guess's
+/// (`register.start_sigma_deg`, `register.start_sigma_mm`), so that weakly determined directions do not
+/// drift.
 ///
 /// If the gel model explained the contact in which the part was found, a pose is accepted while its
 /// [`Misfit`] is typical: as at earlier accepted poses and, at first, as expected from noise and
@@ -59,8 +60,9 @@ pub struct Located {
 /// Does not allocate once patches as large have been tracked and searched.
 #[derive(Clone, Debug)]
 pub struct Localizer {
-    /// Tracking rungs, fastest first.
-    follow: [Option<Registrar>; 2],
+    near: Registrar,
+    /// Rungs that track, fastest first.
+    follow: &'static [Rung],
     search: Registrar,
     expected: Pose,
     last: Option<Pose>,
@@ -75,22 +77,21 @@ impl Localizer {
     /// With these settings, for a part expected at `expected` (`t_sensor_object`).
     #[must_use]
     pub fn new(params: &RegisterParams, expected: &Pose) -> Self {
-        use RegisterMethod::{SurfaceClose, SurfaceSearch, SurfaceTrack};
         let near = RegisterParams {
             surface_search: SurfaceSearchParams { starts: 1, ..params.surface_search.clone() },
             start_sigma_deg: MOVED * params.start_sigma_deg,
             start_sigma_mm: MOVED * params.start_sigma_mm,
             ..params.clone()
         };
-        let rung = |method| Some(Registrar::new(&RegisterParams { method, ..near.clone() }));
-        let follow = match params.method {
-            SurfaceSearch => [rung(SurfaceSearch), None],
-            SurfaceTrack => [rung(SurfaceTrack), rung(SurfaceClose)],
-            _ => [rung(SurfaceClose), None],
+        let follow: &[Rung] = match params.method {
+            RegisterMethod::SurfaceSearch => &[Rung::Search],
+            RegisterMethod::SurfaceClose => &[Rung::Track, Rung::Close],
+            RegisterMethod::FilterregPoint | RegisterMethod::RansacIcp => &[Rung::Close],
         };
         Self {
+            near: Registrar::new(&near),
             follow,
-            search: Registrar::new(&RegisterParams { method: SurfaceSearch, ..params.clone() }),
+            search: Registrar::new(params),
             expected: *expected,
             last: None,
             is_held: false,
@@ -151,15 +152,14 @@ impl Localizer {
         stop: Stop<'_>,
     ) -> Result<Located, RegisterError> {
         if let Some(last) = self.last.filter(|_| self.is_held) {
-            for k in 0..self.follow.len() {
-                let Some(registrar) = &mut self.follow[k] else { continue };
+            for &rung in self.follow {
                 // Out of reach counts as lost; any other error recurs in the search.
-                let found = match registrar.register_unless(contact, template, &last, stop) {
+                let found = match self.near.register_by(Some(rung), contact, template, &last, stop) {
                     Ok(found) => found,
                     Err(RegisterError::Stopped) => return Err(RegisterError::Stopped),
                     Err(_) => continue,
                 };
-                let mut followed = self.judge(found, (contact, template), TrackingStatus::Tracking);
+                let mut followed = self.judge(found, contact, template, TrackingStatus::Tracking);
                 if followed.tracking == TrackingStatus::Tracking {
                     // Free directions keep the uncertainty of the first guess, however long the part is
                     // tracked.
@@ -209,22 +209,24 @@ impl Localizer {
         template: &Template,
         stop: Stop<'_>,
     ) -> Result<Located, RegisterError> {
-        let found = self.search.register_unless(contact, template, around, stop)?;
-        Ok(self.judge(found, (contact, template), TrackingStatus::Relocalized))
+        let found = self.search.register_by(Some(Rung::Search), contact, template, around, stop)?;
+        Ok(self.judge(found, contact, template, TrackingStatus::Relocalized))
     }
 
     /// The result with its status, or lost if the pose does not explain the contact.
     fn judge(
         &mut self,
         registration: Registration,
-        of: (&Contact<'_>, &Template),
+        contact: &Contact<'_>,
+        template: &Template,
         tracking: TrackingStatus,
     ) -> Located {
         let asks = self.asks_gel || registration.gel_decay.is_some();
         // Most tracked poses are right; once typical residuals are known, few steps suffice to confirm one.
         let is_soon = tracking == TrackingStatus::Tracking && self.usual.is_enough();
         let usual = is_soon.then_some(&self.usual);
-        let told = if asks { self.search.misfit(of, &registration.t_sensor_object, usual) } else { None };
+        let pose = &registration.t_sensor_object;
+        let told = if asks { self.search.misfit(contact, template, pose, usual) } else { None };
         let is_usual = told.as_ref().is_some_and(|misfit| !self.usual.is_exceeded(misfit));
         if let Some(misfit) = &told
             && is_usual

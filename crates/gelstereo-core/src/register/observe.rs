@@ -45,11 +45,11 @@ pub(super) struct PatchFrame {
 }
 
 impl PatchFrame {
-    /// The frame of these points, with a radius of at least `least_radius_mm`.
-    pub fn new(points_mm: &[DVec3], least_radius_mm: f64) -> Self {
+    /// The frame of these points, with a radius of at least `min_radius_mm`.
+    pub fn new(points_mm: &[DVec3], min_radius_mm: f64) -> Self {
         let centre_mm = centroid(points_mm);
         let sum: f64 = points_mm.iter().map(|p| p.distance_squared(centre_mm)).sum();
-        let radius_mm = sqrt(sum / points_mm.len().max(1) as f64).max(least_radius_mm);
+        let radius_mm = sqrt(sum / points_mm.len().max(1) as f64).max(min_radius_mm);
         Self { centre_mm, radius_mm }
     }
 
@@ -165,7 +165,7 @@ impl System {
     pub fn blur(&mut self, left_mm: Option<f64>) {
         let spectrum = linalg::eigen(&self.hessian.whole());
         let left_mm = left_mm.unwrap_or_else(|| {
-            let (omega, v_mm) = self.solve_along(&spectrum, self.radius_mm);
+            let (omega, v_mm) = self.solve(&spectrum, self.radius_mm);
             sqrt((omega * self.radius_mm).length_squared() + v_mm.length_squared())
         });
         let blur = left_mm * left_mm / (self.sigma_mm * self.sigma_mm);
@@ -195,14 +195,9 @@ impl System {
     }
 
     /// The motion (ω, v) about the centroid that brings the points closest to the surface, zero along
-    /// free directions. It is limited to `limit_mm` rms over the patch: tangent planes are invalid beyond
-    /// the correspondence distance, and a weak direction must not move the patch there.
-    pub fn solve(&self, limit_mm: f64) -> (DVec3, DVec3) {
-        self.solve_along(&linalg::eigen(&self.hessian.whole()), limit_mm)
-    }
-
-    /// As [`Self::solve`], with the eigenvectors of Σ J Jᵀ.
-    fn solve_along(&self, eigen: &Eigen<6>, limit_mm: f64) -> (DVec3, DVec3) {
+    /// free directions, from the eigenvectors of Σ J Jᵀ. It is limited to `limit_mm` rms over the patch:
+    /// a weak direction must not move the patch farther than tangent planes are valid.
+    fn solve(&self, eigen: &Eigen<6>, limit_mm: f64) -> (DVec3, DVec3) {
         let seen = self.observe_along(eigen, DVec3::ZERO);
         let hessian = self.hessian.whole();
         let mut z = [0.0; 6];

@@ -2,7 +2,7 @@
 
 use super::error::{MIN_PATCH, RegisterError};
 use super::registration::Registration;
-use super::surface::{self, Contact, Misfit};
+use super::surface::{self, Contact, Misfit, Rung};
 use super::template::Template;
 use super::{copies, limits, paper};
 use crate::math::{DVec3, Pose};
@@ -78,23 +78,37 @@ impl Registrar {
         guess: &Pose,
         stop: Stop<'_>,
     ) -> Result<Registration, RegisterError> {
+        let rung = match self.params.method {
+            RegisterMethod::FilterregPoint | RegisterMethod::RansacIcp => None,
+            RegisterMethod::SurfaceClose => Some(Rung::Close),
+            RegisterMethod::SurfaceSearch => Some(Rung::Search),
+        };
+        self.register_by(rung, contact, template, guess, stop)
+    }
+
+    /// As [`Self::register_unless`], by a rung on the surface, or by the configured method on samples.
+    pub(super) fn register_by(
+        &mut self,
+        rung: Option<Rung>,
+        contact: &Contact<'_>,
+        template: &Template,
+        guess: &Pose,
+        stop: Stop<'_>,
+    ) -> Result<Registration, RegisterError> {
         self.params.validate()?;
         let points_mm = contact.points_mm;
         let guess = check(points_mm, guess)?;
-        use RegisterMethod::{
-            FilterregPlane, FilterregPoint, RansacIcp, SurfaceClose, SurfaceSearch, SurfaceTrack,
-        };
         let Self { params, scratch, surface } = self;
         // Normals are read at samples, hence up to half a spacing away.
         let by_samples_mm = params.point_sigma_mm.max(0.5 * template.spacing_mm());
-        let (mut found, resolution_mm) = match params.method {
-            FilterregPoint | FilterregPlane | RansacIcp => {
+        let (mut found, resolution_mm) = match rung {
+            None => {
                 let problem = &paper::Problem { params, points_mm, template, stop };
                 (paper::run(problem, scratch, &guess)?, by_samples_mm)
             }
-            SurfaceTrack | SurfaceClose | SurfaceSearch => {
-                let found = surface::run(params, (contact, template), &guess, surface, stop)?;
-                (found, params.point_sigma_mm)
+            Some(rung) => {
+                let input = surface::Input { params, contact, template, guess: &guess, stop };
+                (surface::run(&input, rung, surface)?, params.point_sigma_mm)
             }
         };
         copies::honour(&mut found, template.symmetries(), &guess, resolution_mm);
@@ -106,11 +120,14 @@ impl Registrar {
     /// holes, or the gel returns to rest within a pitch.
     pub(super) fn misfit(
         &mut self,
-        of: (&Contact<'_>, &Template),
+        contact: &Contact<'_>,
+        template: &Template,
         t_sensor_object: &Pose,
         usual: Option<&surface::UsualResiduals>,
     ) -> Option<Misfit> {
-        surface::misfit(&self.params, of, t_sensor_object, usual, &mut self.surface)
+        let params = &self.params;
+        let input = surface::Input { params, contact, template, guess: t_sensor_object, stop: NEVER };
+        surface::misfit(&input, usual, &mut self.surface)
     }
 }
 
@@ -121,7 +138,7 @@ fn check(points_mm: &[DVec3], guess: &Pose) -> Result<Pose, RegisterError> {
         return Err(RegisterError::PointNotFinite { index });
     }
     if points_mm.len() < MIN_PATCH {
-        return Err(RegisterError::TooFewPoints { found: points_mm.len(), least: MIN_PATCH });
+        return Err(RegisterError::TooFewPoints { found: points_mm.len(), min_points: MIN_PATCH });
     }
     if far(&guess.translation_mm) {
         return Err(RegisterError::BadGuess);

@@ -50,8 +50,8 @@ pub struct Registration {
     /// distances from the part, and in the gel's shoulder, up to twice the contact's decay length beside
     /// the part. A search returns the best pose within `register.start_sigma_deg` and
     /// `register.start_sigma_mm`, and its odds are corrected for that selection: noise seldom has odds
-    /// above 0. Those of single-start rungs are not corrected: noise has odds above 0 once in 25 times
-    /// (`surface_close`) or in 100 (`surface_track`; simulated).
+    /// above 0. Those of `surface_close` are not corrected: noise has odds above 0 once in 25 times
+    /// (simulated).
     pub log_odds: Option<f64>,
     /// Whether the pose explains the contact.
     pub verdict: Verdict,
@@ -59,7 +59,7 @@ pub struct Registration {
     /// model, which requires markers that show the gel's shape.
     pub gel_decay: Option<GelDecay>,
     /// Other poses that explain the contact about as well, most likely first. Only `surface_search` looks
-    /// for them; single-start rungs return none.
+    /// for them.
     pub alternatives: Alternatives,
 }
 
@@ -70,9 +70,8 @@ impl Registration {
     /// guess would count twice.
     ///
     /// It assumes that points touch the faces on which the pose puts them. `surface_search` uses the gel
-    /// model and omits markers whose contact is uncertain. `surface_close` and `surface_track` add the
-    /// uncertainty of which salient points are in contact, but cannot detect a row of the gel's shoulder
-    /// mistaken for a face. There, and at a wrong thread or edge, errors exceed the covariance. The rungs
+    /// model and omits markers whose contact is uncertain. `surface_close` adds the uncertainty of which
+    /// salient points are in contact, but cannot detect a row of the gel's shoulder mistaken for a face. There, and at a wrong thread or edge, errors exceed the covariance. The rungs
     /// on samples scale it by the excess of their residuals over the noise. Actual errors are measured in
     /// `docs/localization.md`.
     #[must_use]

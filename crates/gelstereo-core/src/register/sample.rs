@@ -32,7 +32,7 @@ pub(super) fn evenly(
         return Err(TemplateError::TooMany { found: expected, spacing_mm });
     }
     if expected < MIN_POINTS as f64 {
-        return Err(TemplateError::TooFew { found: expected as usize, least: MIN_POINTS });
+        return Err(TemplateError::TooFew { found: expected as usize, min_points: MIN_POINTS });
     }
     let mut random = Stream::new(seed, "template");
     let mut darts = Darts::new(MIN_DISTANCE * spacing_mm, expected as usize);
@@ -72,7 +72,7 @@ const NONE: u32 = u32::MAX;
 
 /// Accepted points, in cells as wide as their least distance.
 struct Darts {
-    least_mm: f64,
+    min_mm: f64,
     /// Last point of each hash list of cells. Collisions cost time but do not change the result, because
     /// points of other cells are too far away.
     last: Vec<u32>,
@@ -84,13 +84,13 @@ struct Darts {
 
 impl Darts {
     /// Sized for about `expected` points.
-    fn new(least_mm: f64, expected: usize) -> Self {
+    fn new(min_mm: f64, expected: usize) -> Self {
         let last = alloc::vec![NONE; (2 * expected).next_power_of_two()];
-        Self { least_mm, last, before: Vec::new(), points_mm: Vec::new(), normals: Vec::new() }
+        Self { min_mm, last, before: Vec::new(), points_mm: Vec::new(), normals: Vec::new() }
     }
 
     fn throw(&mut self, point: DVec3, normal: DVec3) {
-        let at = point.to_array().map(|x| x / self.least_mm);
+        let at = point.to_array().map(|x| x / self.min_mm);
         let cells = at.map(nearest_cells);
         if self.is_free(&cells, point, normal) {
             let list = self.list(cells.map(|along| along[0]));
@@ -112,9 +112,9 @@ impl Darts {
     /// Faces of different orientation are sampled separately, so that edges stay sharp and thin plates
     /// two-sided.
     fn is_free(&self, [x, y, z]: &[[i64; 3]; 3], point: DVec3, normal: DVec3) -> bool {
-        let least_squared = self.least_mm * self.least_mm;
+        let min_squared = self.min_mm * self.min_mm;
         let blocks = |k: usize| {
-            self.points_mm[k].distance_squared(point) < least_squared && self.normals[k].dot(normal) > 0.5
+            self.points_mm[k].distance_squared(point) < min_squared && self.normals[k].dot(normal) > 0.5
         };
         let in_list = |list: usize| {
             let mut k = self.last[list];

@@ -16,7 +16,8 @@ const HALF_SIDE: f64 = 0.6;
 
 /// Squares, two triangles each; `None` for points without a valid surface, such as too distant ones.
 pub(super) fn surfels(
-    (points_mm, normals): (&[DVec3], &[DVec3]),
+    points_mm: &[DVec3],
+    normals: &[DVec3],
     curvatures_per_mm: &[f64],
     spacing_mm: f64,
     stop: Stop<'_>,

@@ -206,7 +206,9 @@ fn add_normals(candidates: &mut Vec<DVec3>, normals: &[DVec3], triples: bool) {
 
 /// The vector or its opposite, whichever has a positive component of largest magnitude.
 fn upright(v: DVec3) -> DVec3 {
-    let largest =
-        v.to_array().into_iter().fold(0.0, |most: f64, x| if x.abs() > most.abs() { x } else { most });
+    let largest = v
+        .to_array()
+        .into_iter()
+        .fold(0.0, |largest: f64, x| if x.abs() > largest.abs() { x } else { largest });
     if largest < 0.0 { -v } else { v }
 }

@@ -134,7 +134,7 @@ impl Template {
     }
 
     fn surfels(&self, stop: Stop<'_>) -> Result<Option<(Solid, Relief)>, Stopped> {
-        surfels((&self.points_mm, &self.normals), self.curvatures_per_mm(), self.spacing_mm, stop)
+        surfels(&self.points_mm, &self.normals, self.curvatures_per_mm(), self.spacing_mm, stop)
     }
 
     /// Whether [`Self::with_surfels`] has built a surface.
@@ -353,7 +353,7 @@ fn check(points_mm: &[DVec3], normals: &[DVec3], spacing_mm: f64) -> Result<(), 
         return Err(TemplateError::Lengths { points: points_mm.len(), normals: normals.len() });
     }
     if points_mm.len() < MIN_POINTS {
-        return Err(TemplateError::TooFew { found: points_mm.len(), least: MIN_POINTS });
+        return Err(TemplateError::TooFew { found: points_mm.len(), min_points: MIN_POINTS });
     }
     if points_mm.len() > MAX_POINTS {
         return Err(TemplateError::TooMany { found: points_mm.len() as f64, spacing_mm });
@@ -401,7 +401,7 @@ fn curvatures(
 ) -> Result<Vec<f64>, Stopped> {
     let radius = 2.0 * spacing_mm;
     // Samples closer than half a spacing do not locate an edge better than the sampling does.
-    let least = 0.25 * spacing_mm * spacing_mm;
+    let min_squared = 0.25 * spacing_mm * spacing_mm;
     let mut out = Vec::with_capacity(points_mm.len());
     for (step, (&point, &normal)) in points_mm.iter().zip(normals).enumerate() {
         ask_often(stop, step)?;
@@ -409,7 +409,8 @@ fn curvatures(
         tree.within(point, radius * radius, &mut |k, distance_squared| {
             // The far side of a thin plate is not a neighbour along the surface; a face at a right angle is.
             if normals[k].dot(normal) > -0.5 {
-                largest = largest.max(normals[k].distance_squared(normal) / distance_squared.max(least));
+                largest =
+                    largest.max(normals[k].distance_squared(normal) / distance_squared.max(min_squared));
             }
         });
         out.push(sqrt(largest));

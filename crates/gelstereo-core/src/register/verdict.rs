@@ -19,14 +19,20 @@ pub enum Verdict {
     DoesNotFit,
 }
 
+/// Squared residuals over their variances: their mean and number.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct MeanSquare {
+    pub mean: f64,
+    pub count: f64,
+}
+
 impl Verdict {
-    /// From the log odds, the mean squared residual (in variances) and number of markers in contact, and
-    /// whether the steps converged.
-    pub(super) fn new(log_odds: f64, touching: Option<(f64, f64)>, converged: bool) -> Self {
+    /// From the log odds, the residuals of the markers in contact, and whether the steps converged.
+    pub(super) fn new(log_odds: f64, touching: Option<MeanSquare>, converged: bool) -> Self {
         if log_odds <= 0.0 {
             return Self::DoesNotFit;
         }
-        let is_noise = touching.is_none_or(|(squared, count)| squared <= usual_mean_square(count));
+        let is_noise = touching.is_none_or(|it| it.mean <= usual_mean_square(it.count));
         if is_noise && converged { Self::Fits } else { Self::Unsure }
     }
 
@@ -64,10 +70,11 @@ mod tests {
 
     #[test]
     fn a_pose_fits_only_if_odds_misfit_and_end_agree() {
-        assert_eq!(Verdict::new(3.0, Some((1.0, 30.0)), true), Verdict::Fits);
+        let of = |mean| Some(MeanSquare { mean, count: 30.0 });
+        assert_eq!(Verdict::new(3.0, of(1.0), true), Verdict::Fits);
         assert_eq!(Verdict::new(3.0, None, true), Verdict::Fits);
-        assert_eq!(Verdict::new(3.0, Some((1.8, 30.0)), true), Verdict::Unsure);
-        assert_eq!(Verdict::new(3.0, Some((1.0, 30.0)), false), Verdict::Unsure);
-        assert_eq!(Verdict::new(0.0, Some((1.0, 30.0)), true), Verdict::DoesNotFit);
+        assert_eq!(Verdict::new(3.0, of(1.8), true), Verdict::Unsure);
+        assert_eq!(Verdict::new(3.0, of(1.0), false), Verdict::Unsure);
+        assert_eq!(Verdict::new(0.0, of(1.0), true), Verdict::DoesNotFit);
     }
 }

@@ -9,8 +9,7 @@ use gelstereo_core::params::{RegisterMethod, RegisterParams};
 use gelstereo_core::register::{Localizer, Located, Template};
 
 /// Those that follow.
-pub const METHODS: [RegisterMethod; 3] =
-    [RegisterMethod::SurfaceTrack, RegisterMethod::SurfaceClose, RegisterMethod::SurfaceSearch];
+pub const METHODS: [RegisterMethod; 2] = [RegisterMethod::SurfaceClose, RegisterMethod::SurfaceSearch];
 
 pub fn part(name: &str) -> (Part, Template) {
     let part = parts().into_iter().find(|part| part.name == name).unwrap();

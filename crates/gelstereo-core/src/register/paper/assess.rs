@@ -2,18 +2,16 @@
 
 use super::facet::{Facet, facet};
 use super::filterreg::width_floor_mm;
-use super::one_sided::OneSided;
 use super::problem::{Outcome, Problem, Scratch, check_reach};
 use super::soft::soft_match;
 use crate::math::{centroid, sqrt};
-use crate::params::RegisterMethod;
 use crate::register::error::MIN_PATCH;
 use crate::register::observe::{PatchFrame, Sighting, System};
 use crate::register::{Alternatives, FreeDirections, RegisterError, Registration, Verdict};
 use crate::stop::{Stopped, ask_often};
 
 /// The result of a stage that ended at `outcome`. All rungs are assessed alike, on soft matches of the
-/// points within `max_distance_mm`; plane rungs weight every point as in their last step.
+/// points within `max_distance_mm`.
 pub(super) fn registration(
     problem: &Problem<'_>,
     scratch: &mut Scratch,
@@ -29,23 +27,19 @@ pub(super) fn registration(
     }
     let frame = PatchFrame::new(&scratch.sources, template.spacing_mm());
     let mut system = System::new(frame.radius_mm, params.point_sigma_mm);
-    let by_plane = params.method == RegisterMethod::FilterregPlane;
-    let one_sided = OneSided::new(params.point_sigma_mm, params.advanced.max_distance_mm);
-    let (mut sum_squared, mut total, mut along_normals) = (0.0, 0.0, 0.0);
+    let (mut sum_squared, mut along_normals) = (0.0, 0.0);
     for (step, (soft, &point)) in scratch.soft.iter().zip(&scratch.sources).enumerate() {
         ask_often(stop, step)?;
         let lever = point - frame.centre_mm;
         let seen = soft.sighting(template, lever, 1.0, params.point_sigma_mm);
-        let (residual_mm, weight) =
-            if by_plane { (seen.residual, one_sided.weight(seen.residual)) } else { (soft.distance_mm, 1.0) };
-        sum_squared += weight * residual_mm * residual_mm;
-        total += weight;
-        along_normals += weight * seen.residual * seen.residual;
+        sum_squared += soft.distance_mm * soft.distance_mm;
+        along_normals += seen.residual * seen.residual;
         // Uses the facet's normal. A soft mean over two faces would falsely observe sideways motion at
         // every edge of a flat contact.
         let Facet { normal, normal_variance } = facet(template, point, width_mm, params.point_sigma_mm);
-        system.add(&Sighting { normal, normal_variance, weight, ..seen });
+        system.add(&Sighting { normal, normal_variance, ..seen });
     }
+    let total = scratch.sources.len() as f64;
     if !outcome.converged {
         system.blur(None);
     }

@@ -24,9 +24,9 @@ const WIDTHS: f64 = 4.0;
 /// that ends at an edge is constrained from one side only.
 pub(super) fn facet(template: &Template, point: DVec3, width_mm: f64, sigma_mm: f64) -> Facet {
     let (tree, points, normals) = (template.tree(), template.points_mm(), template.normals());
-    let (nearest, least) = tree.nearest(point).unwrap_or((0, 0.0));
-    let reach = least + (WIDTHS * width_mm) * (WIDTHS * width_mm);
-    let log_near = |distance_squared: f64| 0.5 * (least - distance_squared) / (width_mm * width_mm);
+    let (nearest, min_squared) = tree.nearest(point).unwrap_or((0, 0.0));
+    let reach = min_squared + (WIDTHS * width_mm) * (WIDTHS * width_mm);
+    let log_near = |distance_squared: f64| 0.5 * (min_squared - distance_squared) / (width_mm * width_mm);
     let mut best = (nearest, f64::NEG_INFINITY);
     tree.within(point, reach, &mut |k, distance_squared| {
         let off_plane = normals[k].dot(points[k] - point) / sigma_mm;

@@ -5,59 +5,40 @@
 //! Gaussian mean of the template around it (E step), the patch moves rigidly (M step), and the Gaussian
 //! shrinks to fit.
 //!
-//! The point-to-point metric is as published: uniform outliers, and a width that follows from the
-//! residuals. The gel's shoulder around the contact (`one_sided`) violates both: it is one-sided, dense
-//! beside the contact, and widens the Gaussian that should reject it. The result is then biased outwards.
-//! The point-to-plane metric models the shoulder.
+//! It is as published: point to point, uniform outliers, and a width that follows from the residuals. The
+//! gel's shoulder around the contact violates both: it is one-sided, dense beside the contact, and widens
+//! the Gaussian that should reject it. The result is then biased outwards.
 
 use super::icp;
-use super::one_sided::{self, OneSided};
 use super::problem::{Outcome, Problem, Scratch, check_reach, compose};
 use super::soft::soft_match;
 use crate::math::{Pose, exp, ln, sqrt};
 use crate::register::error::MIN_PATCH;
 use crate::register::error::RegisterError;
-use crate::register::observe::{PatchFrame, Sighting, System};
+use crate::register::observe::{PatchFrame, System};
 use crate::stop::{Stopped, ask_often};
-
-/// Cost of the M step.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Metric {
-    /// Distances to the means (the paper).
-    Point,
-    /// Distances to the means along their normals.
-    Plane,
-}
 
 /// Registers from the guess.
 pub(super) fn run(
     problem: &Problem<'_>,
     scratch: &mut Scratch,
     guess: &Pose,
-    metric: Metric,
 ) -> Result<Outcome, RegisterError> {
     let (params, spacing_mm) = (problem.params, problem.template.spacing_mm());
     let floor_mm = width_floor_mm(problem);
     let tolerance_mm = params.advanced.step_tolerance * spacing_mm;
-    let mut sigma_mm = match metric {
-        Metric::Point => params.filterreg.max_sigma_mm.max(floor_mm),
-        Metric::Plane => one_sided::first(params),
-    };
+    let max_sigma_mm = params.filterreg.max_sigma_mm.max(floor_mm);
+    let mut sigma_mm = max_sigma_mm;
     let mut outcome = Outcome { t_sensor_object: *guess, converged: false, iterations: 0 };
     scratch.place(problem.points_mm, guess);
     check_reach(problem, &scratch.placed, params.advanced.search_radius_mm)?;
     while outcome.iterations < params.advanced.max_iterations && !outcome.converged {
-        let motion = step(problem, scratch, metric, sigma_mm)?;
-        let next_sigma_mm = match metric {
-            Metric::Point => {
-                width_mm(scratch, &motion).clamp(floor_mm, params.filterreg.max_sigma_mm.max(floor_mm))
-            }
-            Metric::Plane => one_sided::next(params, sigma_mm),
-        };
+        expect(problem, scratch, sigma_mm)?;
+        let motion = icp::fit(scratch);
+        let next_sigma_mm = width_mm(scratch, &motion).clamp(floor_mm, max_sigma_mm);
         let is_short = |motion: &Pose| scratch.largest_move_mm(motion) <= tolerance_mm;
         outcome.converged = (next_sigma_mm - sigma_mm).abs() <= tolerance_mm
-            && (is_short(&motion)
-                || (metric == Metric::Point && is_short(&determined(problem, scratch, &motion))));
+            && (is_short(&motion) || is_short(&determined(problem, scratch, &motion)));
         sigma_mm = next_sigma_mm;
         outcome.t_sensor_object = compose(&outcome.t_sensor_object, &motion);
         outcome.iterations += 1;
@@ -70,21 +51,6 @@ pub(super) fn run(
 /// 2 e^(-π²/2) = 1.4 % (Poisson summation). Narrower ones resolve single points and lock the patch to them.
 pub(super) fn width_floor_mm(problem: &Problem<'_>) -> f64 {
     problem.params.filterreg.min_sigma_mm.max(0.5 * problem.template.spacing_mm())
-}
-
-/// One E step and one M step; returns the motion of the patch in the object's frame. Leaves the pairs in
-/// `scratch`.
-fn step(
-    problem: &Problem<'_>,
-    scratch: &mut Scratch,
-    metric: Metric,
-    sigma_mm: f64,
-) -> Result<Pose, Stopped> {
-    expect(problem, scratch, sigma_mm.max(width_floor_mm(problem)))?;
-    Ok(match metric {
-        Metric::Point => icp::fit(scratch),
-        Metric::Plane => plane_step(problem, scratch, sigma_mm),
-    })
 }
 
 /// Computes soft matches, targets and responsibilities of all points.
@@ -107,20 +73,7 @@ fn expect(problem: &Problem<'_>, scratch: &mut Scratch, sigma_mm: f64) -> Result
     Ok(())
 }
 
-/// One Gauss-Newton step on the distances along the normals, with standard deviation `sigma_mm` for contacts.
-fn plane_step(problem: &Problem<'_>, scratch: &Scratch, sigma_mm: f64) -> Pose {
-    let frame = PatchFrame::new(&scratch.sources, problem.template.spacing_mm());
-    let one_sided = OneSided::new(sigma_mm, problem.params.advanced.max_distance_mm);
-    let point_sigma_mm = problem.params.point_sigma_mm;
-    let mut system = System::new(frame.radius_mm, point_sigma_mm);
-    for ((soft, &point), &weight) in scratch.soft.iter().zip(&scratch.sources).zip(&scratch.weights) {
-        let seen = soft.sighting(problem.template, point - frame.centre_mm, weight, point_sigma_mm);
-        system.add(&Sighting { weight: weight * one_sided.weight(seen.residual), ..seen });
-    }
-    frame.motion(system.solve(problem.params.advanced.max_distance_mm))
-}
-
-/// The part of a point-metric step that counts for convergence. Along free directions the patch drifts
+/// The part of a step that counts for convergence. Along free directions the patch drifts
 /// between samples indefinitely. Free directions are judged by the soft normals, as in the steps: facet
 /// normals would give more of them, and box faces would stop while their edges still push.
 fn determined(problem: &Problem<'_>, scratch: &Scratch, motion: &Pose) -> Pose {

@@ -5,7 +5,6 @@ mod assess;
 mod facet;
 mod filterreg;
 mod icp;
-mod one_sided;
 mod problem;
 mod ransac;
 mod soft;
@@ -17,7 +16,6 @@ use super::error::RegisterError;
 use super::registration::Registration;
 use crate::math::Pose;
 use crate::params::RegisterMethod;
-use filterreg::Metric;
 
 /// Registers from the guess.
 pub(super) fn run(
@@ -26,12 +24,11 @@ pub(super) fn run(
     guess: &Pose,
 ) -> Result<Registration, RegisterError> {
     let outcome = match problem.params.method {
-        RegisterMethod::FilterregPlane => filterreg::run(problem, scratch, guess, Metric::Plane),
         RegisterMethod::RansacIcp => {
             let start = ransac::search(problem, scratch, guess)?;
             icp::run(problem, scratch, &start)
         }
-        _ => filterreg::run(problem, scratch, guess, Metric::Point),
+        _ => filterreg::run(problem, scratch, guess),
     }?;
     assess::registration(problem, scratch, &outcome)
 }

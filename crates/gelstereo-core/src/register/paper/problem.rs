@@ -57,7 +57,7 @@ impl Scratch {
     /// motion, which a maximum would hide and report as a short step.
     pub fn largest_move_mm(&self, motion: &Pose) -> f64 {
         let squared = |p: &DVec3| motion.transform_point(*p).distance_squared(*p);
-        sqrt(self.placed.iter().map(squared).fold(0.0, |most, d| if d <= most { most } else { d }))
+        sqrt(self.placed.iter().map(squared).fold(0.0, |largest, d| if d <= largest { largest } else { d }))
     }
 }
 
@@ -84,5 +84,5 @@ pub(super) fn check_reach(
     if within >= MIN_PATCH {
         return Ok(());
     }
-    Err(RegisterError::OutOfReach { within, least: MIN_PATCH, nearest_mm: sqrt(nearest), reach_mm })
+    Err(RegisterError::OutOfReach { within, min_points: MIN_PATCH, nearest_mm: sqrt(nearest), reach_mm })
 }

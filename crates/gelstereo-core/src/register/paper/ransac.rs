@@ -46,12 +46,13 @@ pub(super) fn search(
 /// guess is better. Exact for a spin about an axis or a slide, whose twist is constant along the way.
 fn without_free(problem: &Problem<'_>, scratch: &mut Scratch, motion: &Pose) -> Result<Pose, Stopped> {
     let Problem { params, template, .. } = *problem;
-    let most = params.advanced.max_distance_mm * params.advanced.max_distance_mm;
+    let max_squared = params.advanced.max_distance_mm * params.advanced.max_distance_mm;
     scratch.clear_pairs();
     for (step, &point) in scratch.placed.iter().enumerate() {
         ask_often(problem.stop, step)?;
         let moved = motion.transform_point(point);
-        if template.tree().nearest(moved).is_some_and(|(_, distance_squared)| distance_squared <= most) {
+        if template.tree().nearest(moved).is_some_and(|(_, distance_squared)| distance_squared <= max_squared)
+        {
             scratch.sources.push(moved);
         }
     }
@@ -100,23 +101,23 @@ fn draw(
     suits: impl Fn(DVec3) -> bool,
 ) -> Option<usize> {
     let key = random.next_u64();
-    let mut least: Option<(u64, usize)> = None;
+    let mut lowest: Option<(u64, usize)> = None;
     problem.template.tree().within(near, reach_mm * reach_mm, &mut |k, _| {
         let drawn = (keyed(key, k), k);
-        if suits(problem.template.points_mm()[k]) && least.is_none_or(|least| drawn < least) {
-            least = Some(drawn);
+        if suits(problem.template.points_mm()[k]) && lowest.is_none_or(|lowest| drawn < lowest) {
+            lowest = Some(drawn);
         }
     });
-    least.map(|(_, k)| k)
+    lowest.map(|(_, k)| k)
 }
 
 /// Sum of limited squared distances of the moved patch; stops early once it reaches `limit`.
 fn score(problem: &Problem<'_>, placed: &[DVec3], motion: &Pose, limit: f64) -> f64 {
-    let most = problem.params.advanced.max_distance_mm * problem.params.advanced.max_distance_mm;
+    let max_squared = problem.params.advanced.max_distance_mm * problem.params.advanced.max_distance_mm;
     let mut sum = 0.0;
     for &point in placed {
         let nearest = problem.template.tree().nearest(motion.transform_point(point));
-        sum += nearest.map_or(most, |(_, distance_squared)| distance_squared.min(most));
+        sum += nearest.map_or(max_squared, |(_, distance_squared)| distance_squared.min(max_squared));
         if sum >= limit {
             break;
         }

@@ -57,10 +57,10 @@ const LOG_LEFT_OUT: f64 = -28.0;
 #[must_use]
 pub fn soft_match(template: &Template, point: DVec3, sigma_mm: f64) -> SoftMatch {
     let (tree, blocks) = (template.tree(), template.blocks());
-    let (nearest, least) = tree.nearest(point).unwrap_or((0, 0.0));
+    let (nearest, min_squared) = tree.nearest(point).unwrap_or((0, 0.0));
     let twice_variance = 2.0 * sigma_mm * sigma_mm;
-    let reach = least + twice_variance * (ln(template.points_mm().len() as f64) - LOG_LEFT_OUT);
-    let mut sums = Sums::new(point, template.points_mm()[nearest], least, twice_variance);
+    let reach = min_squared + twice_variance * (ln(template.points_mm().len() as f64) - LOG_LEFT_OUT);
+    let mut sums = Sums::new(point, template.points_mm()[nearest], min_squared, twice_variance);
     tree.ranges(point, reach, &mut |range| {
         blocks[range.start / LANES..range.end.div_ceil(LANES)].iter().for_each(|block| sums.add(block));
     });
@@ -75,7 +75,7 @@ pub fn soft_match(template: &Template, point: DVec3, sigma_mm: f64) -> SoftMatch
 struct Sums {
     point: DVec3,
     origin: DVec3,
-    least: f64,
+    min_squared: f64,
     /// 1 / 2σ².
     rate: f64,
     twice_variance: f64,
@@ -87,14 +87,14 @@ struct Sums {
 }
 
 impl Sums {
-    fn new(point: DVec3, origin: DVec3, least: f64, twice_variance: f64) -> Self {
+    fn new(point: DVec3, origin: DVec3, min_squared: f64, twice_variance: f64) -> Self {
         // A width whose square underflows uses only the nearest point.
         let rate = (1.0 / twice_variance).min(f64::MAX);
         let zero = [0.0; LANES];
         Self {
             point,
             origin,
-            least,
+            min_squared,
             rate,
             twice_variance,
             mass: zero,
@@ -112,7 +112,7 @@ impl Sums {
         let from: [Lanes; 3] = array::from_fn(|axis| each(|k| x[axis][k] - point[axis]));
         let offset: [Lanes; 3] = array::from_fn(|axis| each(|k| x[axis][k] - origin[axis]));
         let distance_squared = dot(&from, &from);
-        let weight = each(|k| exp_nonpositive((self.least - distance_squared[k]) * self.rate));
+        let weight = each(|k| exp_nonpositive((self.min_squared - distance_squared[k]) * self.rate));
         for k in 0..LANES {
             self.mass[k] += weight[k];
         }
@@ -130,7 +130,7 @@ impl Sums {
         let mean_normal = DVec3::from_array(self.normal.map(|lanes| total(&lanes))) / mass;
         let length = sqrt(mean_normal.length_squared());
         // The term of a coincident point is 1, even if σ² underflows.
-        let exponent = if self.least > 0.0 { self.least / self.twice_variance } else { 0.0 };
+        let exponent = if self.min_squared > 0.0 { self.min_squared / self.twice_variance } else { 0.0 };
         SoftMatch {
             log_mass: ln(mass) - exponent,
             offset_mm: (self.origin - self.point) + from_origin,
@@ -138,7 +138,7 @@ impl Sums {
             normal: if length > 1e-6 { mean_normal / length } else { template.normals()[nearest] },
             plane_distance_mm: total(&self.plane) / mass,
             nearest,
-            distance_mm: sqrt(self.least),
+            distance_mm: sqrt(self.min_squared),
         }
     }
 }

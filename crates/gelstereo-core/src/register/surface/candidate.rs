@@ -28,3 +28,8 @@ pub(super) struct End {
     pub iterations: u32,
     pub work: u64,
 }
+
+impl End {
+    /// Before the first step.
+    pub const NONE: Self = Self { converged: false, iterations: 0, work: 0 };
+}

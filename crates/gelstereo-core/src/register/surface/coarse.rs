@@ -45,7 +45,8 @@ impl<'a> View<'a> {
         part: &Coarse<'_>,
         placement: &Placement,
         width_mm: f64,
-        (clear, reach_mm): (&mut [Clear], f64),
+        clear: &mut [Clear],
+        reach_mm: f64,
     ) -> Normal {
         self.sum(part, placement, width_mm, |k: usize, x_mm, press| {
             if clear[k].is_over(x_mm, 0.0) {

@@ -4,9 +4,10 @@
 //! which shows in the squared deviations over all markers.
 
 use super::candidate::Candidate;
+use super::gel::fit::GelFit;
 use super::gel::prediction::{GelFitScratch, LIFTED, MAX_SQUARE, Prediction};
 use super::gel::rest::Rest;
-use super::state::Search;
+use super::state::{Problem, Search};
 use crate::math::sqrt;
 
 /// Steps from a pose of a rung without the gel model, which is off by several standard deviations of the
@@ -99,30 +100,34 @@ impl UsualResiduals {
         let count = by.markers as f64;
         let variance = (self.mean_square - self.mean * self.mean).max(0.0);
         let b = ALARM_LOG * MAX_SQUARE / 3.0;
-        let most = b + sqrt(b * b + 2.0 * ALARM_LOG * count * variance);
-        count * (by.mean - self.mean) > most
+        let max_excess = b + sqrt(b * b + 2.0 * ALARM_LOG * count * variance);
+        count * (by.mean - self.mean) > max_excess
     }
 }
 
-impl Search<'_> {
-    /// Deviation at the guess, after the first step at which it is usual, or after all steps.
-    pub fn misfit(&self, usual: Option<&UsualResiduals>, settled: &mut GelFitScratch) -> Misfit {
-        let mut one = Candidate::at(self.prior.guess);
-        one.rest = Rest { plane_mm: self.samples.gel.rest_plane(self.samples.radius_mm), log_decay: 0.0 };
-        settled.clear(&self.samples.gel);
-        let way = self.settled(true);
-        way.begin_anew(&mut one, settled);
-        for _ in 0..STEPS {
-            let so_far = Misfit::of(settled.kept(one.slot));
-            if usual.is_some_and(|usual| !usual.is_exceeded(&so_far)) {
-                return so_far;
-            }
-            if way.run(&mut one, (1, self.limit), settled).converged {
-                break;
-            }
+/// Deviation at the guess, after the first step at which it is usual, or after all steps.
+pub(super) fn misfit(
+    problem: &Problem<'_>,
+    usual: Option<&UsualResiduals>,
+    scratch: &mut GelFitScratch,
+) -> Misfit {
+    let gel = &problem.samples.gel;
+    let rest = Rest { plane_mm: gel.rest_plane(problem.samples.radius_mm), log_decay: 0.0 };
+    let mut one = Candidate { rest, ..Candidate::at(problem.prior.guess) };
+    scratch.clear(gel);
+    let fit = GelFit::exact(problem);
+    fit.begin_anew(&mut one, scratch);
+    for _ in 0..STEPS {
+        let so_far = Misfit::of(scratch.kept(one.slot));
+        if usual.is_some_and(|usual| !usual.is_exceeded(&so_far)) {
+            return so_far;
         }
-        Misfit::of(settled.kept(one.slot))
+        let one_step = Search::new(problem).limits(1);
+        if fit.run(&mut one, one_step, scratch).converged {
+            break;
+        }
     }
+    Misfit::of(scratch.kept(one.slot))
 }
 
 #[cfg(test)]

@@ -79,17 +79,17 @@ impl<'a> Contact<'a> {
         }
         let found = eigen(&spread);
         let along = |k: usize| DVec3::from_array(found.vectors[k]).dot(self.press_direction).abs().min(1.0);
-        let most = MAX_ASIDE_DEG.to_radians();
+        let max_rad = MAX_ASIDE_DEG.to_radians();
         let is_thin = found.values[1] > TOLD * found.values[0];
         let is_long = found.values[2] > TOLD * found.values[1];
         let angle_rad = if is_thin { acos(along(0)) } else { 0.0 };
         let angle_rad = if is_long { angle_rad.max(asin(along(2))) } else { angle_rad };
-        if angle_rad <= most {
+        if angle_rad <= max_rad {
             return Ok(());
         }
         Err(RegisterError::PatchAside {
             angle_deg: angle_rad.to_degrees(),
-            most_deg: MAX_ASIDE_DEG,
+            max_deg: MAX_ASIDE_DEG,
             press_direction: self.press_direction.to_array(),
         })
     }
@@ -249,7 +249,7 @@ impl Samples {
         let others = contact.unpressed_mm.iter();
         let others = others.map(|&p| Sample::new(p - *centre_mm, covariance));
         let markers = pressed.iter().copied().chain(others);
-        gel.fill((markers, pressed.len()), contact.press_direction, contact.decay_mm, *gel_scale);
+        gel.fill(markers, pressed.len(), contact.press_direction, contact.decay_mm, *gel_scale);
     }
 
     /// Salient markers and those beside them, in this order, relative to the centroid with the press along z.
@@ -361,9 +361,9 @@ impl Samples {
 
     /// Moves points that are far from each other to the front (farthest-point sampling, Gonzalez 1985),
     /// beginning with the one nearest to the centroid.
-    fn spread(&mut self, most: usize) {
+    fn spread(&mut self, max_count: usize) {
         let among = self.may_touch();
-        let count = most.min(among);
+        let count = max_count.min(among);
         self.spread_count = count;
         self.nearest_squared.clear();
         self.nearest_squared.extend(self.pressed.iter().map(|s| 1.0 / (1e-30 + s.p_mm.length_squared())));
@@ -451,7 +451,7 @@ mod tests {
             assert!(samples.height_mm > 0.0, "{}", samples.height_mm);
             for sample in &samples.pressed {
                 let variance = sample.variance(DVec3::NEG_Z);
-                assert!(variance > 0.0 && variance < 1e-5 && sample.most_sigma_mm.is_finite(), "{variance}");
+                assert!(variance > 0.0 && variance < 1e-5 && sample.max_sigma_mm.is_finite(), "{variance}");
             }
         }
     }

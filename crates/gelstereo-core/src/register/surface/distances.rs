@@ -125,7 +125,7 @@ impl Coarse<'_> {
     #[inline(always)]
     fn go_on(&self, line: &mut Line, press: DVec3) {
         let step_mm = match self.field.distance(line.x_mm + press * line.at_mm) {
-            Some((distance_mm, gradient)) => self.look(line, (distance_mm, gradient), press),
+            Some((distance_mm, gradient)) => self.look(line, distance_mm, gradient, press),
             None => self.field.reach_mm(),
         };
         line.at_mm -= step_mm;
@@ -134,7 +134,7 @@ impl Coarse<'_> {
 
     /// Evaluates the field at the line's position; returns the next step length.
     #[inline(always)]
-    fn look(&self, line: &mut Line, (distance_mm, gradient): (f64, DVec3), press: DVec3) -> f64 {
+    fn look(&self, line: &mut Line, distance_mm: f64, gradient: DVec3, press: DVec3) -> f64 {
         let near_mm = NEAR * self.field.cell_mm();
         line.clear_mm = line.clear_mm.min(distance_mm);
         if distance_mm < FIELD_ERROR * self.field.cell_mm() && line.near_over_mm.is_none() {
@@ -176,7 +176,7 @@ impl Exact<'_> {
             let found =
                 self.solid.closest_facing(at_mm, &facing, REACH_MM * scale, Some(*hint)).ok_or(0.0)?;
             *hint = found.triangle;
-            let slope = self.relief.slope(self.solid, &found, (at_mm - found.point_mm, scale));
+            let slope = self.relief.slope(self.solid, &found, at_mm - found.point_mm, scale);
             let cosine = slope.normal.dot(press);
             if cosine < STEEP_COSINE {
                 break;
@@ -202,7 +202,7 @@ impl Exact<'_> {
         let facing = Facing { direction: press, least_cosine: WALL_COSINE };
         let found = self.solid.first_met(x_mm - press * coarse_mm, &facing, MET_MM * self.field.gel_scale)?;
         *hint = found.triangle;
-        let slope = self.relief.slope(self.solid, &found, (DVec3::ZERO, self.field.gel_scale));
+        let slope = self.relief.slope(self.solid, &found, DVec3::ZERO, self.field.gel_scale);
         let is_seen = slope.normal.dot(press) >= WALL_COSINE;
         Some(Foot {
             over_mm: coarse_mm + found.distance_mm,
@@ -268,10 +268,10 @@ impl Coarse<'_> {
     /// the part, keeps the first result.
     #[cold]
     fn through(&self, x_mm: DVec3, press: DVec3, first: Near) -> Near {
-        let least_mm = self.field.cell_mm();
+        let min_mm = self.field.cell_mm();
         let (mut way_mm, mut near) = (0.0, first);
         for _ in 0..MAX_LOOKUPS {
-            way_mm += abs(near.distance_mm).max(least_mm);
+            way_mm += abs(near.distance_mm).max(min_mm);
             let next = self.lookup(x_mm + press * way_mm, press);
             if next.normal.dot(press) >= MIN_COSINE {
                 let distance_mm = next.distance_mm - way_mm * next.normal.dot(press);
@@ -331,7 +331,7 @@ impl Exact<'_> {
         let facing = Facing { direction: press, least_cosine: MIN_COSINE };
         let found = self.solid.closest_facing(x_mm, &facing, reach_mm, Some(last.triangle))?;
         last.triangle = found.triangle;
-        let slope = self.relief.slope(self.solid, &found, (x_mm - found.point_mm, self.field.gel_scale));
+        let slope = self.relief.slope(self.solid, &found, x_mm - found.point_mm, self.field.gel_scale);
         Some(Near {
             distance_mm: found.distance_mm,
             normal: slope.normal,

@@ -5,7 +5,7 @@ use super::coarse::View;
 use super::contact::{COARSE, MEDIUM};
 use super::gel::prediction::KEPT;
 use super::normal_system::Normal;
-use super::state::Search;
+use super::state::{Problem, Search};
 use crate::math::sqrt;
 use alloc::vec::Vec;
 
@@ -18,25 +18,20 @@ pub(super) struct Round {
     /// Width of the final comparison, and how many candidates are kept.
     last_mm: f64,
     pub keeps: usize,
-    /// Candidates closer than this, over the patch, count as one.
-    pub same_mm: f64,
 }
 
+/// Candidates closer than this, over the patch, count as one.
+pub(super) const SAME_MM: f64 = 0.1;
+
 /// The first round.
-pub(super) const FIRST: Round = Round {
-    pressed: COARSE,
-    steps: &[(1.5, usize::MAX), (0.8, 96), (0.4, 48)],
-    last_mm: 0.3,
-    keeps: 32,
-    same_mm: 0.0,
-};
+pub(super) const FIRST: Round =
+    Round { pressed: COARSE, steps: &[(1.5, usize::MAX), (0.8, 96), (0.4, 48)], last_mm: 0.3, keeps: 32 };
 /// The second round keeps all to its end: alternatives as likely as the best pose are searched among them.
 pub(super) const SECOND: Round = Round {
     pressed: MEDIUM,
     steps: &[(0.6, usize::MAX), (0.3, usize::MAX), (0.2, usize::MAX), (0.12, usize::MAX)],
     last_mm: 0.1,
     keeps: KEPT,
-    same_mm: 0.1,
 };
 /// Weight of the guess in coarse steps; small, since the point weights are those of wide distributions.
 const COARSE_PRIOR: f64 = 0.1;
@@ -46,21 +41,16 @@ const LONGEST_MM: f64 = 2.0;
 impl Search<'_> {
     /// Steps all candidates, and selects those that continue.
     pub fn round(&mut self, candidates: &mut Vec<Candidate>, round: &Round, unpressed: usize) {
-        let view = View::of(
-            self.samples,
-            round.pressed.min(self.samples.spread_count),
-            unpressed,
-            self.press_direction,
-        );
+        let Problem { params, samples, field, press_direction, .. } = self.problem;
+        let pressed = round.pressed.min(samples.spread_count);
+        let view = View::of(samples, pressed, unpressed, *press_direction);
         for &(width_mm, keeps) in round.steps {
-            self.each(candidates, |search, candidate| {
-                search.step(candidate, &view, search.params.scaled(width_mm))
-            });
+            self.each(candidates, |search, candidate| search.step(candidate, &view, params.scaled(width_mm)));
             keep(candidates, keeps, 0.0, 0.0);
         }
         self.each(candidates, |search, candidate| {
             search.work += view.len();
-            view.cost(&search.field, &candidate.placement, search.params.scaled(round.last_mm))
+            view.cost(field, &candidate.placement, params.scaled(round.last_mm))
         });
         insertion_sort(candidates);
     }
@@ -77,7 +67,7 @@ impl Search<'_> {
 
     /// Takes a coarse step; returns the cost before it.
     pub fn step(&mut self, candidate: &mut Candidate, view: &View<'_>, width_mm: f64) -> f64 {
-        let sum = view.look(&self.field, &candidate.placement, width_mm);
+        let sum = view.look(&self.problem.field, &candidate.placement, width_mm);
         self.step_by(candidate, view, sum)
     }
 
@@ -85,24 +75,24 @@ impl Search<'_> {
     pub fn step_by(&mut self, candidate: &mut Candidate, view: &View<'_>, mut sum: Normal) -> f64 {
         self.work += view.len();
         let cost = sum.cost;
-        sum.add_prior(&self.prior, &candidate.placement, view.radius_mm, COARSE_PRIOR);
-        if let Some((omega, v)) = sum.solve(view.radius_mm, self.params.scaled(LONGEST_MM)) {
+        sum.add_prior(&self.problem.prior, &candidate.placement, view.radius_mm, COARSE_PRIOR);
+        if let Some((omega, v)) = sum.solve(view.radius_mm, self.problem.params.scaled(LONGEST_MM)) {
             candidate.placement = candidate.placement.moved(omega, v);
         }
         cost
     }
 }
 
-/// Keeps the `most` cheapest, in order; of those closer than `same_mm` the cheaper one. The sort is
+/// Keeps the `max_count` cheapest, in order; of those closer than `same_mm` the cheaper one. The sort is
 /// stable: ties keep the order of the starts.
-pub(super) fn keep(candidates: &mut Vec<Candidate>, most: usize, radius_mm: f64, same_mm: f64) {
+pub(super) fn keep(candidates: &mut Vec<Candidate>, max_count: usize, radius_mm: f64, same_mm: f64) {
     insertion_sort(candidates);
     if same_mm == 0.0 {
-        return candidates.truncate(most);
+        return candidates.truncate(max_count);
     }
     let mut kept = 0;
     for k in 0..candidates.len() {
-        if kept == most {
+        if kept == max_count {
             break;
         }
         let one = candidates[k];

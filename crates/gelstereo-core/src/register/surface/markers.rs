@@ -1,6 +1,5 @@
 //! Selection of the unpressed markers of a frame.
 
-use super::contact::is_within;
 use crate::math::DVec3;
 use crate::params::RegisterMethod;
 use crate::register::RegisterError;
@@ -25,16 +24,13 @@ pub fn unpressed(all_mm: &[DVec3], salient_mm: &[DVec3]) -> Vec<DVec3> {
     unpressed
 }
 
-/// As [`unpressed`], for one method: none if the method does not use them, unless it would refuse some of
-/// them.
+/// As [`unpressed`], for one method: none if the method does not use them.
 #[must_use]
 pub fn unpressed_for(method: RegisterMethod, all_mm: &[DVec3], salient_mm: &[DVec3]) -> Vec<DVec3> {
-    let is_needed = match method {
-        RegisterMethod::SurfaceClose | RegisterMethod::SurfaceSearch => true,
-        RegisterMethod::SurfaceTrack => !all_mm.iter().all(is_within),
-        _ => false,
-    };
-    if is_needed { unpressed(all_mm, salient_mm) } else { Vec::new() }
+    match method {
+        RegisterMethod::SurfaceClose | RegisterMethod::SurfaceSearch => unpressed(all_mm, salient_mm),
+        RegisterMethod::FilterregPoint | RegisterMethod::RansacIcp => Vec::new(),
+    }
 }
 
 /// Refuses salient points that are not among all markers, bit for bit. [`unpressed`] would treat their
@@ -82,17 +78,14 @@ mod tests {
     }
 
     #[test]
-    fn a_method_is_given_the_markers_that_it_looks_at_or_refuses() {
-        use RegisterMethod::{FilterregPlane, SurfaceClose, SurfaceSearch, SurfaceTrack};
+    fn a_method_is_given_the_markers_that_it_looks_at() {
+        use RegisterMethod::{FilterregPoint, RansacIcp, SurfaceClose, SurfaceSearch};
         let mut all: Vec<DVec3> = (0..20).map(|k| DVec3::new(f64::from(k), 1.0, 2.0)).collect();
-        let counts = |all: &[DVec3]| {
-            let methods = [FilterregPlane, SurfaceTrack, SurfaceClose, SurfaceSearch];
-            methods.map(|method| unpressed_for(method, all, &all[3..9]).len())
-        };
-        assert_eq!(counts(&all), [0, 0, 14, 14]);
-        for lost in [f64::NAN, f64::INFINITY, -1e30] {
+        for lost in [1.0, f64::NAN, f64::INFINITY, -1e30] {
             all[12].y = lost;
-            assert_eq!(counts(&all), [0, 14, 14, 14]);
+            let methods = [FilterregPoint, RansacIcp, SurfaceClose, SurfaceSearch];
+            let counts = methods.map(|method| unpressed_for(method, &all, &all[3..9]).len());
+            assert_eq!(counts, [0, 0, 14, 14]);
         }
     }
 

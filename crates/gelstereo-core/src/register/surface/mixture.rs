@@ -89,7 +89,7 @@ pub(super) struct Loose {
 
 impl Loose {
     /// Inliers are free up to `reach_mm` over the part; outliers are distributed over `stray_mm`.
-    pub fn new(outliers: f64, (reach_mm, stray_mm): (f64, f64)) -> Self {
+    pub fn new(outliers: f64, reach_mm: f64, stray_mm: f64) -> Self {
         let good = 1.0 - outliers;
         Self { good, free: good / reach_mm, stray: outliers.max(MIN_OUTLIERS) / stray_mm, reach_mm }
     }

@@ -12,8 +12,8 @@ mod candidate;
 mod coarse;
 mod consistency;
 mod contact;
+mod distance_objective;
 mod distances;
-mod evidence_ratio;
 mod gel;
 mod halving;
 mod markers;
@@ -21,6 +21,7 @@ mod mixture;
 mod modes;
 mod multi_start;
 mod normal_system;
+mod objective;
 mod point;
 mod refine;
 mod scan_order;
@@ -38,142 +39,156 @@ pub(super) use smooth_normals::Relief;
 
 use super::error::MIN_PATCH;
 use super::{RegisterError, Registration, Template};
-use crate::math::{DVec3, Pose};
-use crate::params::{RegisterMethod, RegisterParams};
-use crate::stop::{NEVER, Stop, ask_often};
-use alloc::vec::Vec;
+use crate::math::Pose;
+use crate::params::RegisterParams;
+use crate::stop::{Stop, ask_often};
+use crate::surface::Solid;
 use candidate::Candidate;
 use contact::{Extent, Samples};
+use distance_objective::DistanceObjective;
 use distances::{Coarse, Exact};
 use gel::prediction::GelFitScratch;
 use normal_system::{Placement, Prior};
+use objective::Objective;
 use refine::RefineScratch;
 use scan_order::Raster;
-use state::Search;
+use search::{Candidates, Outcome};
+use state::{Problem, Search};
+
+/// How a pose is found on the part's surface.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Rung {
+    /// Steps on the field of distances, by the salient points alone.
+    Track,
+    /// One start on the exact surface.
+    Close,
+    /// Many starts, with the gel's model.
+    Search,
+}
+
+impl Rung {
+    fn extent(self, solid: &Solid) -> Extent {
+        match self {
+            Self::Track => Extent::Salient,
+            Self::Close => Extent::Near,
+            // On a surface with holes it is unknown what the gel meets first.
+            Self::Search if solid.is_closed() => Extent::Gel,
+            Self::Search => Extent::Around,
+        }
+    }
+}
+
+/// A contact and a part, with a guess of its pose.
+#[derive(Clone, Copy)]
+pub(super) struct Input<'a> {
+    pub params: &'a RegisterParams,
+    pub contact: &'a Contact<'a>,
+    pub template: &'a Template,
+    pub guess: &'a Pose,
+    pub stop: Stop<'a>,
+}
 
 /// Buffers of the surface rungs, reused between runs.
 #[derive(Clone, Debug, Default)]
 pub(super) struct SurfaceScratch {
     raster: Raster,
     samples: Samples,
-    candidates: Vec<Candidate>,
-    runners_up: Vec<Candidate>,
-    polish: RefineScratch,
-    settled: GelFitScratch,
+    candidates: Candidates,
+    distances: RefineScratch,
+    gel: GelFitScratch,
 }
 
 /// Registers by one of the surface rungs.
 pub(super) fn run(
-    params: &RegisterParams,
-    (contact, template): (&Contact<'_>, &Template),
-    guess: &Pose,
+    input: &Input<'_>,
+    rung: Rung,
     scratch: &mut SurfaceScratch,
-    stop: Stop<'_>,
 ) -> Result<Registration, RegisterError> {
+    let Input { params, contact, template, stop, .. } = *input;
     let (solid, ..) = template.touchable().ok_or(RegisterError::NoSurface)?;
     contact.check()?;
-    let SurfaceScratch { raster, samples, candidates, runners_up, polish, settled } = scratch;
-    let extent = match params.method {
-        RegisterMethod::SurfaceTrack => Extent::Salient,
-        RegisterMethod::SurfaceClose => Extent::Near,
-        // On a surface with holes it is unknown what the gel meets first.
-        RegisterMethod::SurfaceSearch if solid.is_closed() => Extent::Gel,
-        _ => Extent::Around,
-    };
+    let SurfaceScratch { raster, samples, candidates, distances, gel } = scratch;
+    let extent = rung.extent(solid);
     let unpressed_mm = if extent == Extent::Salient { &[] } else { contact.unpressed_mm };
-    let ordered = raster.ordered(&Contact { unpressed_mm, ..*contact }, params.advanced.gel_scale);
+    let ordered = raster.ordered(&Contact { unpressed_mm, ..*contact }, params.usual_pitch_mm());
     samples.fill(&ordered, params, extent);
-    let mut search = searching(params, (contact.press_direction, samples), template, guess, stop)
-        .ok_or(RegisterError::NoSurface)?;
-    check_reach(&search, solid, params)?;
-    polish.begin(samples);
-    let end = match params.method {
-        RegisterMethod::SurfaceTrack => search.track(candidates, polish),
-        RegisterMethod::SurfaceClose => search.close(candidates, polish),
-        _ => search.many(candidates, runners_up, polish, settled),
-    };
+    let problem = input.problem(samples).ok_or(RegisterError::NoSurface)?;
+    check_reach(&problem)?;
+    distances.begin(samples);
+    let mut search = Search::new(&problem);
     // A stopped search counts its budget as spent, and its result is not valid.
-    if stop() {
-        return Err(RegisterError::Stopped);
-    }
-    let placement = search.read_at.unwrap_or(candidates[0].placement);
-    let read = Candidate { placement, ..candidates[0] };
-    let told = search.is_settled.then(|| search.told(&read, end.converged, settled));
-    let readings = (&*polish, &*settled, told);
-    let mut found = assess::registration(params, samples, (candidates, &read), readings, end);
-    found.alternatives = assess::alternatives(samples, candidates, search.is_cut);
-    found.gel_decay = search.is_settled.then(|| candidates[0].rest.decay(contact.decay_mm));
-    Ok(found)
+    let conclude = |objective: &mut dyn Objective, found: &[Candidate], outcome: Outcome| {
+        if stop() {
+            return Err(RegisterError::Stopped);
+        }
+        Ok(assess::registration(&problem, objective, found, outcome))
+    };
+    let outcome = match rung {
+        Rung::Search => {
+            search.screen(candidates);
+            return search.finish(candidates, distances, gel, conclude);
+        }
+        Rung::Track => search.track(&mut candidates.best, distances),
+        Rung::Close => search.close(&mut candidates.best, distances),
+    };
+    conclude(&mut DistanceObjective { scratch: distances }, &candidates.best, outcome)
 }
 
 /// Deviation of the markers from the gel model at a pose, after the first step at which it is usual, or
 /// after all steps. `None` where the gel is not known.
 pub(super) fn misfit(
-    params: &RegisterParams,
-    (contact, template): (&Contact<'_>, &Template),
-    t_sensor_object: &Pose,
+    input: &Input<'_>,
     usual: Option<&UsualResiduals>,
     scratch: &mut SurfaceScratch,
 ) -> Option<Misfit> {
+    let Input { params, contact, template, .. } = *input;
     template.touchable().filter(|(solid, ..)| solid.is_closed())?;
-    let SurfaceScratch { raster, samples, settled, .. } = scratch;
-    samples.fill(&raster.ordered(contact, params.advanced.gel_scale), params, Extent::Gel);
+    let SurfaceScratch { raster, samples, gel, .. } = scratch;
+    samples.fill(&raster.ordered(contact, params.usual_pitch_mm()), params, Extent::Gel);
     if !samples.gel.is_known() {
         return None;
     }
-    let search = searching(params, (contact.press_direction, samples), template, t_sensor_object, NEVER)?;
-    Some(search.misfit(usual, settled))
+    Some(consistency::misfit(&input.problem(samples)?, usual, gel))
 }
 
-/// Initial state of a search.
-fn searching<'a>(
-    params: &'a RegisterParams,
-    (press_direction, samples): (DVec3, &'a Samples),
-    template: &'a Template,
-    guess: &Pose,
-    stop: Stop<'a>,
-) -> Option<Search<'a>> {
-    let (solid, field, relief) = template.touchable()?;
-    let field = Coarse { field, gel_scale: params.advanced.gel_scale };
-    let centred = Pose { translation_mm: guess.translation_mm - samples.centre_mm, ..*guess };
-    Some(Search {
-        params,
-        samples,
-        press_direction,
-        field,
-        faces: Exact { solid, relief, field },
-        prior: Prior {
-            guess: Placement::new(centred),
-            sigma_rad: params.start_sigma_deg.to_radians(),
-            sigma_mm: params.start_sigma_mm,
-        },
-        stop,
-        work: 0,
-        limit: u64::from(params.surface_search.budget),
-        is_settled: false,
-        is_cut: false,
-        read_at: None,
-        symmetries: template.symmetries(),
-        alike: &template.alike,
-    })
+impl<'a> Input<'a> {
+    /// With the samples of its contact. `None` without a surface.
+    fn problem(&self, samples: &'a Samples) -> Option<Problem<'a>> {
+        let Self { params, contact, template, guess, stop } = *self;
+        let (solid, field, relief) = template.touchable()?;
+        let field = Coarse { field, gel_scale: params.advanced.gel_scale };
+        let centred = Pose { translation_mm: guess.translation_mm - samples.centre_mm, ..*guess };
+        Some(Problem {
+            params,
+            samples,
+            press_direction: contact.press_direction,
+            field,
+            faces: Exact { solid, relief, field },
+            prior: Prior {
+                guess: Placement::new(centred),
+                sigma_rad: params.start_sigma_deg.to_radians(),
+                sigma_mm: params.start_sigma_mm,
+            },
+            stop,
+            symmetries: template.symmetries(),
+            alike: &template.alike,
+        })
+    }
 }
 
 /// Refuses a patch with too few points near the part at the guess.
-fn check_reach(
-    search: &Search<'_>,
-    solid: &crate::surface::Solid,
-    params: &RegisterParams,
-) -> Result<(), RegisterError> {
+fn check_reach(problem: &Problem<'_>) -> Result<(), RegisterError> {
+    let (params, solid) = (problem.params, problem.faces.solid);
     let reach_mm = params.advanced.search_radius_mm + multi_start::REACH * params.start_sigma_mm;
-    let placed = || search.samples.pressed.iter().map(|s| search.prior.guess.object_point(s.p_mm));
+    let placed = || problem.samples.pressed.iter().map(|s| problem.prior.guess.object_point(s.p_mm));
     // The field covers its own reach and one cell.
-    let field = search.field.field;
+    let field = problem.field.field;
     let is_known = field.reach_mm() + field.cell_mm() <= reach_mm;
     let within =
         |x| (is_known && field.distance(x).is_some()) || solid.closest_within(x, reach_mm, None).is_some();
     let mut found = 0;
     for (step, x) in placed().enumerate() {
-        ask_often(search.stop, step)?;
+        ask_often(problem.stop, step)?;
         found += usize::from(within(x));
         if found == MIN_PATCH {
             return Ok(());
@@ -181,8 +196,8 @@ fn check_reach(
     }
     let (mut nearest_mm, within) = (f64::INFINITY, found);
     for (step, x) in placed().enumerate() {
-        ask_often(search.stop, step)?;
+        ask_often(problem.stop, step)?;
         nearest_mm = nearest_mm.min(solid.closest(x).distance_mm.abs());
     }
-    Err(RegisterError::OutOfReach { within, least: MIN_PATCH, nearest_mm, reach_mm })
+    Err(RegisterError::OutOfReach { within, min_points: MIN_PATCH, nearest_mm, reach_mm })
 }

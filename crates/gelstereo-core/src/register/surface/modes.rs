@@ -10,13 +10,11 @@
 //! are applied to all solutions, which finds pitches of a thread that no start has reached. Known
 //! symmetries of the whole part are also applied to every solution.
 
-use super::assess;
 use super::candidate::{Candidate, End};
-use super::gel::prediction::GelFitScratch;
 use super::halving::insertion_sort;
 use super::normal_system::{Normal, Placement, cholesky};
-use super::refine::RefineScratch;
-use super::state::{HOPELESS, Search, Stage};
+use super::objective::{HOPELESS, Objective, Stage};
+use super::state::Search;
 use crate::math::{DVec3, Pose};
 use crate::register::observe::{dot, halves, stack};
 use crate::register::symmetry::nearest_copy;
@@ -49,11 +47,18 @@ enum Refined {
     New(End),
 }
 
+/// What a search for alternatives leaves beside them.
+pub(super) struct Found {
+    /// Candidate with the readings of the best solution, and how it ended.
+    pub read: (Candidate, End),
+    /// Whether alternatives may be missing.
+    pub is_cut: bool,
+}
+
 /// State of a search for alternatives.
 pub(super) struct Modes<'a, 'b> {
     search: &'b mut Search<'a>,
-    scratch: &'b mut RefineScratch,
-    settled: &'b mut GelFitScratch,
+    objective: &'b mut dyn Objective,
     best: Candidate,
     /// Candidate with the readings of the best solution, and how it ended: that solution, or a rotated
     /// copy of it.
@@ -64,18 +69,17 @@ pub(super) struct Modes<'a, 'b> {
 }
 
 impl<'a, 'b> Modes<'a, 'b> {
-    /// For alternatives to `best`, whose readings are in the scratch, and which ended as `end` states.
+    /// For alternatives to `best`, which was read last and ended as `end` states.
     pub fn new(
         search: &'b mut Search<'a>,
-        (best, end): (&Candidate, End),
-        (scratch, settled): (&'b mut RefineScratch, &'b mut GelFitScratch),
+        objective: &'b mut dyn Objective,
+        best: &Candidate,
+        end: End,
     ) -> Self {
         // Free directions do not depend on convergence.
-        let told = search.is_settled.then(|| search.told(best, true, settled));
-        let readings = (&*scratch, &*settled, told);
-        let found = assess::observe(search.params, search.samples, best, readings, true);
+        let found = objective.observe(search.problem, best, true);
         let seen = found.turned(&best.placement.pose, DVec3::ZERO);
-        Self { search, scratch, settled, best: *best, read: (*best, end), seen, is_cut: false }
+        Self { search, objective, best: *best, read: (*best, end), seen, is_cut: false }
     }
 
     /// Moves the best pose back to the guess along the free directions, if it is about as likely there. A
@@ -85,22 +89,18 @@ impl<'a, 'b> Modes<'a, 'b> {
         if self.seen.free_count() == 0 || self.search.has_spent() {
             return;
         }
-        let pose = held::nearest(&self.seen, &self.best.placement.pose, &self.search.prior.guess.pose);
+        let pose =
+            held::nearest(&self.seen, &self.best.placement.pose, &self.search.problem.prior.guess.pose);
         let mut one = Candidate { placement: Placement::new(pose), ..self.best };
-        self.search.read(&mut one, self.scratch, self.settled);
+        self.objective.read(self.search, &mut one);
         if one.cost <= self.best.cost + LESS_LIKELY {
             (*best, self.best, self.read.0) = (one, one, one);
         }
     }
 
     /// Leaves the best pose in `candidates`, followed by the alternatives from them and from `seeds`,
-    /// likeliest first. Returns the candidate with the first one's readings, how it ended, and whether
-    /// alternatives may be missing. The seeds are those of the second round, in order.
-    pub fn find(
-        mut self,
-        candidates: &mut Vec<Candidate>,
-        seeds: &mut Vec<Candidate>,
-    ) -> ((Candidate, End), bool) {
+    /// likeliest first. The seeds are those of the second round, in order.
+    pub fn find(mut self, candidates: &mut Vec<Candidate>, seeds: &mut Vec<Candidate>) -> Found {
         // Reserved once, so that more candidates in a later run do not allocate.
         candidates.reserve(MAX_SEEDS);
         seeds.reserve(MAX_SEEDS);
@@ -130,9 +130,9 @@ impl<'a, 'b> Modes<'a, 'b> {
                 }
             }
         }
-        let least = candidates[0].cost + MIN_LOG;
-        candidates.retain(|one| one.cost <= least);
-        (self.read, self.is_cut)
+        let limit = candidates[0].cost + MIN_LOG;
+        candidates.retain(|one| one.cost <= limit);
+        Found { read: self.read, is_cut: self.is_cut }
     }
 
     /// Collects the seeds that are alternatives worth refining, and the runners-up among the candidates.
@@ -168,7 +168,7 @@ impl<'a, 'b> Modes<'a, 'b> {
     fn turn(&mut self, of: (Candidate, End), candidates: &mut Vec<Candidate>) {
         let one = of.0;
         let guess = self.guess_cost(&one.placement);
-        let alike = self.search.alike;
+        let alike = self.search.problem.alike;
         for (axis, order) in alike.iter().filter_map(|axis| Some((axis, axis.order?))) {
             for k in 1..order {
                 let turn = axis.turned(TAU * f64::from(k) / f64::from(order));
@@ -189,12 +189,12 @@ impl<'a, 'b> Modes<'a, 'b> {
     /// Prior cost of a pose.
     fn guess_cost(&self, placement: &Placement) -> f64 {
         let mut guess = Normal::ZERO;
-        guess.add_prior(&self.search.prior, placement, self.search.samples.radius_mm, 1.0);
+        guess.add_prior(&self.search.problem.prior, placement, self.search.problem.samples.radius_mm, 1.0);
         guess.cost
     }
 
     fn near_mm(&self) -> f64 {
-        self.search.params.scaled(NEAR_MM)
+        self.search.problem.params.scaled(NEAR_MM)
     }
 
     fn is_new(&self, placement: &Placement, seeds: &[Candidate], candidates: &[Candidate]) -> bool {
@@ -203,7 +203,7 @@ impl<'a, 'b> Modes<'a, 'b> {
 
     /// Motion about the centroid from `other` to that symmetric copy of `one` which is nearest to it.
     fn since(&self, one: &Placement, other: &Placement) -> Pose {
-        let nearest = nearest_copy(self.search.symmetries, &one.pose, &other.pose);
+        let nearest = nearest_copy(self.search.problem.symmetries, &one.pose, &other.pose);
         let motion = nearest * other.pose.inverse();
         motion.normalized().unwrap_or(motion)
     }
@@ -219,7 +219,8 @@ impl<'a, 'b> Modes<'a, 'b> {
     /// A pose, moved along the free directions to the least rotation, and then the least translation,
     /// from the best one.
     fn carried(&self, one: &Placement) -> Placement {
-        let (omega, v) = least_turn(&self.seen, self.since(one, &self.best.placement).log(), self.near_mm());
+        let (omega, v) =
+            smallest_turn(&self.seen, self.since(one, &self.best.placement).log(), self.near_mm());
         moved(&Pose::exp(omega, v), &self.best.placement)
     }
 
@@ -240,11 +241,7 @@ impl<'a, 'b> Modes<'a, 'b> {
 
     fn run(&mut self, seed: &mut Candidate, stage: Stage) -> End {
         seed.placement = self.carried(&seed.placement);
-        if self.search.is_settled {
-            self.search.settle_on(seed, stage, self.settled)
-        } else {
-            self.search.finish_on(seed, stage, self.scratch)
-        }
+        self.objective.refine(self.search, seed, stage)
     }
 
     /// Adds a solution with readings at `read`, unless it is known; then the likelier one stays. Returns
@@ -295,7 +292,7 @@ impl<'a, 'b> Modes<'a, 'b> {
 
 /// A motion (ω, v) about the centroid with the least rotation, and then the least translation, after
 /// removing its part along free directions that commute with it.
-fn least_turn(seen: &Observability, (omega, v): (DVec3, DVec3), near_mm: f64) -> (DVec3, DVec3) {
+fn smallest_turn(seen: &Observability, (omega, v): (DVec3, DVec3), near_mm: f64) -> (DVec3, DVec3) {
     let weighed = |u: &[f64; 6]| -> [f64; 6] {
         core::array::from_fn(|i| if i < 3 { TURNS_FIRST * u[i] } else { u[i] })
     };

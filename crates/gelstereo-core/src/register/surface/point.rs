@@ -11,7 +11,7 @@ pub(super) struct Sample {
     /// Whether the surrounding gel behaves like free gel, and not like gel on a part.
     pub hangs: bool,
     /// Upper limit of the standard deviation along any direction, independent of the frame.
-    pub most_sigma_mm: f64,
+    pub max_sigma_mm: f64,
 }
 
 /// Share of the trace that is added to every variance. It exceeds the rounding of a singular covariance
@@ -21,7 +21,7 @@ const FLOOR: f64 = 1e-6;
 impl Sample {
     pub fn new(p_mm: DVec3, covariance: [f64; 6]) -> Self {
         let trace = covariance[0] + covariance[1] + covariance[2];
-        Self { p_mm, covariance, hangs: false, most_sigma_mm: sqrt((1.0 + FLOOR) * trace) }
+        Self { p_mm, covariance, hangs: false, max_sigma_mm: sqrt((1.0 + FLOOR) * trace) }
     }
 
     /// Variance along a unit vector.

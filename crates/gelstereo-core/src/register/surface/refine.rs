@@ -7,12 +7,11 @@
 use super::candidate::{Candidate, End};
 use super::coarse::{Clear, View};
 use super::contact::Samples;
-use super::distances::{Coarse, Distances, Last, Near, Range, press_in_object};
+use super::distances::{Distances, Last, Near, Range, press_in_object};
 use super::mixture::{Bell, Likelihood, Loose, STRAY_MM};
-use super::normal_system::{Normal, Placement, Prior};
+use super::normal_system::{Normal, Placement};
+use super::state::{Limits, Problem};
 use crate::math::{DVec3, sqrt};
-use crate::params::RegisterParams;
-use crate::stop::Stop;
 use alloc::vec::Vec;
 
 /// Largest height over the part of salient points that are not in contact.
@@ -23,7 +22,9 @@ const FREE_MM: f64 = 4.0;
 const FAR_MM: f64 = 0.5;
 /// Initial distance over the part from which these are not evaluated; refinement does not move the part
 /// as far.
-pub(super) const OUT_OF_REACH_MM: f64 = 1.2;
+const OUT_OF_REACH_MM: f64 = 1.2;
+/// Halvings of a step on the exact surface.
+const HALVINGS: u32 = 4;
 /// Length of the last step of a run, in tolerances.
 const LAST_STEP: f64 = 10.0;
 /// Expectation steps per maximisation step; they cost no lookups.
@@ -112,13 +113,9 @@ impl RefineScratch {
 
 /// Likelihood maximisation of one candidate.
 pub(super) struct Refinement<'a, D> {
-    pub params: &'a RegisterParams,
-    pub samples: &'a Samples,
+    pub problem: &'a Problem<'a>,
     pub view: View<'a>,
-    pub field: Coarse<'a>,
     pub part: D,
-    pub prior: Prior,
-    pub stop: Stop<'a>,
     /// Markers that are not salient are not evaluated from this initial distance over the part.
     pub reach_mm: f64,
     /// Halvings of a step before it is given up.
@@ -127,19 +124,29 @@ pub(super) struct Refinement<'a, D> {
     pub pushes_bluntly: bool,
 }
 
-impl<D: Distances> Refinement<'_, D> {
-    /// At most `most` steps; none once `budget` of work is spent.
-    pub fn run(&self, candidate: &mut Candidate, most: u32, budget: u64, scratch: &mut RefineScratch) -> End {
-        let mut end =
-            End { converged: false, iterations: 0, work: self.start(&candidate.placement, scratch) };
-        let least_mm = LAST_STEP * self.params.advanced.step_tolerance * scratch.here.all[0].sigma_mm;
-        while end.iterations < most && !end.converged && end.work < budget && !(self.stop)() {
+impl<'a, D: Distances> Refinement<'a, D> {
+    /// By these distances, of all points.
+    pub fn new(problem: &'a Problem<'a>, part: D) -> Self {
+        let reach_mm = problem.params.scaled(OUT_OF_REACH_MM);
+        Self { problem, view: problem.whole(), part, reach_mm, halvings: HALVINGS, pushes_bluntly: false }
+    }
+
+    /// Steps until convergence, or to the limits.
+    pub fn run(&self, candidate: &mut Candidate, limits: Limits, scratch: &mut RefineScratch) -> End {
+        let mut end = End { work: self.start(&candidate.placement, scratch), ..End::NONE };
+        let min_mm = LAST_STEP * self.problem.params.advanced.step_tolerance * scratch.here.all[0].sigma_mm;
+        while end.iterations < limits.max_steps
+            && !end.converged
+            && end.work < limits.max_work
+            && !(self.problem.stop)()
+        {
             end.iterations += 1;
             for _ in 0..EXPECTATIONS {
                 self.believe(scratch, Asked::Within);
             }
             let now = self.sum::<true>(scratch, &scratch.here, &candidate.placement);
-            let Some((omega, v)) = now.solve(self.view.radius_mm, self.params.scaled(LONGEST_MM)) else {
+            let Some((omega, v)) = now.solve(self.view.radius_mm, self.problem.params.scaled(LONGEST_MM))
+            else {
                 break;
             };
             let full_mm = self.length_mm(omega, v);
@@ -156,12 +163,12 @@ impl<D: Distances> Refinement<'_, D> {
                     break;
                 }
                 share *= 0.5;
-                if share * full_mm < least_mm {
+                if share * full_mm < min_mm {
                     break;
                 }
             }
             // No increase along the step within the step tolerance.
-            end.converged = !accepted || share * full_mm < least_mm;
+            end.converged = !accepted || share * full_mm < min_mm;
         }
         end
     }
@@ -171,31 +178,29 @@ impl<D: Distances> Refinement<'_, D> {
         sqrt((omega * self.view.radius_mm).length_squared() + v.length_squared())
     }
 
-    /// At most `most` unchecked full steps; none once `budget` of work is spent. The field has no creases
-    /// to oscillate at, and checking a step costs as much as the next step. The caller reads the final
-    /// distances.
-    pub fn slide(
-        &self,
-        candidate: &mut Candidate,
-        most: u32,
-        budget: u64,
-        scratch: &mut RefineScratch,
-    ) -> End {
-        let mut end =
-            End { converged: false, iterations: 0, work: self.start(&candidate.placement, scratch) };
-        while end.iterations < most && !end.converged && end.work < budget && !(self.stop)() {
+    /// Unchecked full steps until convergence, or to the limits. The field has no creases to oscillate at,
+    /// and checking a step costs as much as the next step. The caller reads the final distances.
+    pub fn slide(&self, candidate: &mut Candidate, limits: Limits, scratch: &mut RefineScratch) -> End {
+        let mut end = End { work: self.start(&candidate.placement, scratch), ..End::NONE };
+        while end.iterations < limits.max_steps
+            && !end.converged
+            && end.work < limits.max_work
+            && !(self.problem.stop)()
+        {
             if end.iterations > 0 {
                 end.work += self.read(&candidate.placement, &mut scratch.here, Asked::Within);
             }
             end.iterations += 1;
             self.believe(scratch, Asked::Within);
             let now = self.sum::<true>(scratch, &scratch.here, &candidate.placement);
-            let Some((omega, v)) = now.solve(self.view.radius_mm, self.params.scaled(LONGEST_MM)) else {
+            let Some((omega, v)) = now.solve(self.view.radius_mm, self.problem.params.scaled(LONGEST_MM))
+            else {
                 break;
             };
             candidate.placement = candidate.placement.moved(omega, v);
-            let least_mm = LAST_STEP * self.params.advanced.step_tolerance * scratch.here.all[0].sigma_mm;
-            end.converged = self.length_mm(omega, v) < least_mm;
+            let min_mm =
+                LAST_STEP * self.problem.params.advanced.step_tolerance * scratch.here.all[0].sigma_mm;
+            end.converged = self.length_mm(omega, v) < min_mm;
         }
         end
     }
@@ -235,7 +240,7 @@ impl<D: Distances> Refinement<'_, D> {
         for (k, (sample, clear)) in self.view.unpressed.iter().zip(&scratch.clear).enumerate() {
             let x_mm = placement.object_point(sample.p_mm);
             let is_far = clear.is_over(x_mm, self.reach_mm)
-                || self.field.near_at(x_mm, press).distance_mm > self.reach_mm;
+                || self.problem.field.near_at(x_mm, press).distance_mm > self.reach_mm;
             if is_far {
                 for readings in [&mut scratch.here, &mut scratch.there] {
                     readings.all[pressed + k].distance_mm = self.reach_mm;
@@ -265,7 +270,7 @@ impl<D: Distances> Refinement<'_, D> {
     fn read_some(&self, placement: &Placement, out: &mut Readings, first: usize, asked: Asked) -> u64 {
         let press = press_in_object(placement, self.view.press_direction);
         let toward = self.view.press_direction;
-        let surface_mm = self.params.advanced.surface_sigma_mm;
+        let surface_mm = self.problem.params.advanced.surface_sigma_mm;
         let model = surface_mm * surface_mm;
         let pressed = self.view.pressed.len();
         let samples = self.view.pressed.iter().chain(self.view.unpressed);
@@ -275,14 +280,14 @@ impl<D: Distances> Refinement<'_, D> {
             if *hint == SKIP {
                 continue;
             }
-            let most_mm = sample.most_sigma_mm + surface_mm;
+            let max_mm = sample.max_sigma_mm + surface_mm;
             let may_touch = k < pressed || asked == Asked::Touching;
-            let to_mm = if may_touch { ASKED * most_mm } else { 0.0 };
-            let range = Range { from_mm: -(ASKED + SLACK) * most_mm, to_mm };
+            let to_mm = if may_touch { ASKED * max_mm } else { 0.0 };
+            let range = Range { from_mm: -(ASKED + SLACK) * max_mm, to_mm };
             let mut last = Last { triangle: *hint, work: 0 };
             let x_mm = placement.object_point(sample.p_mm);
             let Near { distance_mm, normal, curvature_per_mm } = if !may_touch && self.pushes_bluntly {
-                self.field.at(x_mm, press, range, &mut last)
+                self.problem.field.at(x_mm, press, range, &mut last)
             } else {
                 self.part.at(x_mm, press, range, &mut last)
             };
@@ -295,8 +300,8 @@ impl<D: Distances> Refinement<'_, D> {
             let variance_mm2 = sample.variance(normal) + model;
             let foot_mm = sample.p_mm - normal * distance_mm;
             let sigma_mm = sqrt(variance_mm2);
-            let can_touch =
-                normal.dot(toward) >= STEEP_COSINE && foot_mm.dot(toward) >= self.samples.salient_from_mm;
+            let can_touch = normal.dot(toward) >= STEEP_COSINE
+                && foot_mm.dot(toward) >= self.problem.samples.salient_from_mm;
             // A salient point that cannot be in contact here may have had a contact probability before
             // the step.
             let is_asked = k < pressed || (can_touch && may_touch);
@@ -327,7 +332,7 @@ impl<D: Distances> Refinement<'_, D> {
         }
         // Laplace's rule of succession avoids 0 and 1.
         let whole = (total + 1.0) / (pressed as f64 + 2.0);
-        for (k, (r, near)) in here.all.iter().zip(&self.samples.neighbours).enumerate() {
+        for (k, (r, near)) in here.all.iter().zip(&self.problem.samples.neighbours).enumerate() {
             before[k] = if !r.can_touch {
                 0.0
             } else if self.view.pressed[k].hangs {
@@ -343,8 +348,9 @@ impl<D: Distances> Refinement<'_, D> {
 
     /// Distributions of salient markers that are not in contact, and of others.
     fn loose(&self) -> [Loose; 2] {
-        let of = |mm| (self.params.scaled(mm), self.params.scaled(STRAY_MM));
-        [SHOULDER_MM, FREE_MM].map(|mm| Loose::new(self.params.advanced.outlier_share, of(mm)))
+        let params = self.problem.params;
+        [SHOULDER_MM, FREE_MM]
+            .map(|mm| Loose::new(params.advanced.outlier_share, params.scaled(mm), params.scaled(STRAY_MM)))
     }
 
     /// The cost of a placement.
@@ -362,7 +368,7 @@ impl<D: Distances> Refinement<'_, D> {
         let pressed = self.view.pressed.len();
         let mut sum = Normal::ZERO;
         let [shoulder_mm, far_mm, stray_mm] =
-            [SHOULDER_MM, FAR_MM, STRAY_MM].map(|mm| self.params.scaled(mm));
+            [SHOULDER_MM, FAR_MM, STRAY_MM].map(|mm| self.problem.params.scaled(mm));
         let loose = self.loose();
         let mut likelihood = Likelihood::after(0.0);
         let per_radius = 1.0 / self.view.radius_mm;
@@ -391,7 +397,7 @@ impl<D: Distances> Refinement<'_, D> {
             }
         }
         sum.cost = likelihood.cost();
-        sum.add_prior(&self.prior, placement, self.view.radius_mm, 1.0);
+        sum.add_prior(&self.problem.prior, placement, self.view.radius_mm, 1.0);
         sum
     }
 }

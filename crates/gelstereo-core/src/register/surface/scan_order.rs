@@ -8,9 +8,6 @@ use crate::math::linalg::Symmetric;
 use crate::math::{DVec3, floor};
 use alloc::vec::Vec;
 
-/// Width of a band for a standard gel: the distance between rows of markers, so that each has its own.
-const BAND_MM: f64 = 0.9;
-
 /// Buffers of an ordered contact.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Raster {
@@ -24,8 +21,9 @@ pub(super) struct Raster {
 type Key = (u32, u64, u32);
 
 impl Raster {
-    /// The same contact with its markers in canonical order.
-    pub fn ordered<'a>(&'a mut self, contact: &Contact<'a>, gel_scale: f64) -> Contact<'a> {
+    /// The same contact with its markers in canonical order. Any width of a band gives one; with the pitch,
+    /// each row of markers has its own band.
+    pub fn ordered<'a>(&'a mut self, contact: &Contact<'a>, pitch_mm: f64) -> Contact<'a> {
         let Self { keys, points_mm, covariance_mm2, unpressed_mm } = self;
         let press = contact.press_direction;
         let (along, _) = press.any_orthonormal_pair();
@@ -35,7 +33,7 @@ impl Raster {
             .iter()
             .chain(contact.unpressed_mm)
             .fold(f64::INFINITY, |low, p| low.min(p.dot(across)));
-        let frame = Frame { along, across, press, low_mm, band_mm: BAND_MM * gel_scale };
+        let frame = Frame { along, across, press, low_mm, band_mm: pitch_mm };
         unpressed_mm.clear();
         unpressed_mm.extend(order(keys, contact.unpressed_mm, frame).map(|k| contact.unpressed_mm[k]));
         points_mm.clear();

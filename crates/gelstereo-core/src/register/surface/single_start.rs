@@ -3,7 +3,8 @@
 use super::candidate::{Candidate, End};
 use super::coarse::{Clear, View};
 use super::refine::{RefineScratch, Refinement};
-use super::state::Search;
+use super::search::Outcome;
+use super::state::{Limits, Search};
 use crate::math::{exp, ln};
 use alloc::vec::Vec;
 
@@ -33,65 +34,66 @@ const TRACK_STEPS: u32 = 3;
 
 impl Search<'_> {
     /// Tracks from the guess, on the field.
-    pub fn track(&mut self, candidates: &mut Vec<Candidate>, scratch: &mut RefineScratch) -> End {
-        self.begin_at_guess(candidates);
-        let polish = self.refine(self.field);
-        let end = polish.slide(&mut candidates[0], TRACK_STEPS, self.limit, scratch);
+    pub fn track(&mut self, candidates: &mut Vec<Candidate>, scratch: &mut RefineScratch) -> Outcome {
+        let mut one = Candidate::at(self.problem.prior.guess);
+        let limits = Limits { max_steps: TRACK_STEPS, max_work: self.limit };
+        let end = Refinement::new(self.problem, self.problem.field).slide(&mut one, limits, scratch);
         // The field has no curvature; without it facets would appear to determine a cylinder's spin.
-        let (cost, work) = self.refine(self.faces).compare(&candidates[0].placement, scratch);
-        candidates[0].cost = cost;
+        let exact = Refinement::new(self.problem, self.problem.faces);
+        let (cost, work) = exact.compare(&one.placement, scratch);
         self.work = end.work + work;
-        end
+        alone(Candidate { cost, ..one }, end, candidates)
     }
 
     /// Refines the guess: on the field, then on the exact surface.
-    pub fn close(&mut self, candidates: &mut Vec<Candidate>, scratch: &mut RefineScratch) -> End {
-        self.begin_at_guess(candidates);
-        self.look_closer(&mut candidates[0], &mut scratch.clear);
-        let left = self.left();
-        let polish = Refinement { reach_mm: self.params.scaled(SLIDE_REACH_MM), ..self.refine(self.field) };
-        self.work += polish.slide(&mut candidates[0], SLIDES, left, scratch).work;
-        let left = self.left();
-        let polish = Refinement {
-            reach_mm: self.params.scaled(CLOSE_REACH_MM),
+    pub fn close(&mut self, candidates: &mut Vec<Candidate>, scratch: &mut RefineScratch) -> Outcome {
+        let (problem, params) = (self.problem, self.problem.params);
+        let mut one = Candidate::at(problem.prior.guess);
+        self.look_closer(&mut one, &mut scratch.clear);
+        let on_field =
+            Refinement { reach_mm: params.scaled(SLIDE_REACH_MM), ..Refinement::new(problem, problem.field) };
+        self.work += on_field.slide(&mut one, self.limits(SLIDES), scratch).work;
+        let exact = Refinement {
+            reach_mm: params.scaled(CLOSE_REACH_MM),
             halvings: HALVINGS,
             pushes_bluntly: true,
-            ..self.refine(self.faces)
+            ..Refinement::new(problem, problem.faces)
         };
-        let end =
-            polish.run(&mut candidates[0], self.params.advanced.max_iterations.min(STEPS), left, scratch);
-        let (cost, work) = polish.compare_ended(&candidates[0].placement, scratch);
-        candidates[0].cost = cost;
+        let limits = self.limits(params.advanced.max_iterations.min(STEPS));
+        let end = exact.run(&mut one, limits, scratch);
+        let (cost, work) = exact.compare_ended(&one.placement, scratch);
         self.work += end.work + work;
-        end
+        alone(Candidate { cost, ..one }, end, candidates)
     }
 
     /// Coarse passes of decreasing width.
     fn look_closer(&mut self, candidate: &mut Candidate, clear: &mut [Clear]) {
-        let touching = self.samples.may_touch();
-        let view = View::of(self.samples, touching, self.samples.medium_unpressed, self.press_direction);
-        let widest_mm = WIDEST * self.params.start_sigma_mm;
-        let narrowest_mm = (NARROWEST * self.samples.sigma_mm(self.press_direction))
-            .max(BLUNT * self.field.field.cell_mm())
-            .min(widest_mm);
+        let problem = self.problem;
+        let (samples, press_direction, field) = (problem.samples, problem.press_direction, &problem.field);
+        let view = View::of(samples, samples.may_touch(), samples.medium_unpressed, press_direction);
+        let widest_mm = WIDEST * problem.params.start_sigma_mm;
+        let narrowest_mm =
+            (NARROWEST * samples.sigma_mm(press_direction)).max(BLUNT * field.field.cell_mm()).min(widest_mm);
         let ratio = exp(ln(narrowest_mm / widest_mm) / f64::from(NARROWING));
         // Around holes the field does not bound the distance either.
-        let reach_mm = if self.faces.solid.is_closed() { self.field.field.reach_mm() } else { 0.0 };
+        let reach_mm = if problem.faces.solid.is_closed() { field.field.reach_mm() } else { 0.0 };
         let mut width_mm = widest_mm;
         for look in 0..NARROWING + NARROW {
             if self.has_spent() {
                 return;
             }
-            let sum = view.look_again(&self.field, &candidate.placement, width_mm, (clear, reach_mm));
+            let sum = view.look_again(field, &candidate.placement, width_mm, clear, reach_mm);
             self.step_by(candidate, &view, sum);
             if look < NARROWING {
                 width_mm *= ratio;
             }
         }
     }
+}
 
-    fn begin_at_guess(&self, candidates: &mut Vec<Candidate>) {
-        candidates.clear();
-        candidates.push(Candidate::at(self.prior.guess));
-    }
+/// The only candidate.
+fn alone(one: Candidate, end: End, candidates: &mut Vec<Candidate>) -> Outcome {
+    candidates.clear();
+    candidates.push(one);
+    Outcome { end, read: one, is_cut: false, is_selected: false }
 }

@@ -70,12 +70,7 @@ impl Relief {
     }
 
     /// Slope at the nearest point of a position `offset_mm` away from it, for a gel of scale `gel_scale`.
-    pub(super) fn slope(
-        &self,
-        solid: &Solid,
-        found: &Closest,
-        (offset_mm, gel_scale): (DVec3, f64),
-    ) -> Slope {
+    pub(super) fn slope(&self, solid: &Solid, found: &Closest, offset_mm: DVec3, gel_scale: f64) -> Slope {
         let k = found.triangle as usize;
         let curvature_per_mm = self.curvatures_per_mm[k];
         let corners = solid.triangles()[k].map(|v| solid.vertices_mm()[v as usize]);

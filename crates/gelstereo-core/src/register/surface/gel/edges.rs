@@ -84,7 +84,7 @@ impl GelFit<'_> {
                 let (sample, u) = (&gel.nodes[k].sample, sign * edge.across);
                 let kink_mm = sigma_mm / edge.slope;
                 nearest = Some(Wall {
-                    row: stack(sample.p_mm.cross(u) / self.samples.radius_mm, u),
+                    row: stack(sample.p_mm.cross(u) / self.problem.samples.radius_mm, u),
                     room_mm,
                     sigma_mm: sqrt(kink_mm * kink_mm + sample.variance(u)),
                     precision: 0.0,
@@ -97,7 +97,7 @@ impl GelFit<'_> {
 
     fn edge(&self, state: &Candidate, [node, next]: [&Node; 2], foot: &Foot, beyond: &Sight) -> Option<Edge> {
         let placement = &state.placement;
-        let press = placement.object_direction(self.press_direction);
+        let press = placement.object_direction(self.problem.press_direction);
         let cosine = foot.normal.dot(press);
         let way = placement.object_direction(next.sample.p_mm - node.sample.p_mm);
         let way = way - press * way.dot(press);
@@ -110,7 +110,7 @@ impl GelFit<'_> {
             None => {
                 let near = match &self.faces {
                     Some(faces) => faces.at(at, press, ALL, &mut Last::default()),
-                    None => self.field.near_at(at, press),
+                    None => self.problem.field.near_at(at, press),
                 };
                 (near.distance_mm, near.normal)
             }
@@ -146,11 +146,11 @@ pub(in crate::register::surface) struct Bounded {
 
 impl Bounded {
     /// Truncates the normal distribution with mean zero and this information matrix. Its covariance uses
-    /// at least `least` along every eigenvector.
-    pub fn new(information: &Symmetric<6>, least: f64, walls: &mut [Wall]) -> Self {
+    /// at least `min_information` along every eigenvector.
+    pub fn new(information: &Symmetric<6>, min_information: f64, walls: &mut [Wall]) -> Self {
         let (known, mut covariance) = (eigen(information), [[0.0; 6]; 6]);
         for (value, u) in known.values.iter().zip(&known.vectors) {
-            add_outer(&mut covariance, u, 1.0 / value.max(least));
+            add_outer(&mut covariance, u, 1.0 / value.max(min_information));
         }
         let mut out = Self { information: *information, mean: [0.0; 6], covariance };
         walls.iter_mut().for_each(|wall| (wall.precision, wall.pull) = (0.0, 0.0));

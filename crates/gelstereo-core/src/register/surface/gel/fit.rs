@@ -7,15 +7,12 @@ use super::lattice::Node;
 use super::model::Gel;
 use super::prediction::{DECAY, GelFitScratch, PLANE, Prediction, Row, Sight};
 use super::rest::{DECAY_LOGS, Rest};
-use crate::register::surface::candidate::{Candidate, End};
-use crate::register::surface::contact::Samples;
-use crate::register::surface::distances::{Coarse, Exact, Foot, Line, UNDER_MM};
-use crate::register::surface::mixture::{Likelihood, MIN_OUTLIERS, STRAY_MM};
-use crate::register::surface::normal_system::{Normal, Prior};
-
 use crate::math::{DVec3, abs, exp, sqrt};
-use crate::params::RegisterParams;
-use crate::stop::Stop;
+use crate::register::surface::candidate::{Candidate, End};
+use crate::register::surface::distances::{Exact, Foot, Line, UNDER_MM};
+use crate::register::surface::mixture::{Likelihood, MIN_OUTLIERS, STRAY_MM};
+use crate::register::surface::normal_system::Normal;
+use crate::register::surface::state::{Limits, Problem};
 use core::mem::swap;
 
 /// Standard deviation of the logarithm of l²: a third of l.
@@ -43,19 +40,24 @@ pub(in crate::register::surface) const SWEEPS_A_LOOKUP: u64 = 8;
 
 /// Likelihood maximisation of one candidate.
 pub(in crate::register::surface) struct GelFit<'a> {
-    pub params: &'a RegisterParams,
-    pub samples: &'a Samples,
-    pub press_direction: DVec3,
-    pub field: Coarse<'a>,
+    pub problem: &'a Problem<'a>,
     /// Exact surface; without it only the field is used.
     pub faces: Option<Exact<'a>>,
-    pub prior: Prior,
-    pub stop: Stop<'a>,
 }
 
-impl GelFit<'_> {
-    pub(in crate::register::surface) fn gel(&self) -> &Gel {
-        &self.samples.gel
+impl<'a> GelFit<'a> {
+    /// On the exact surface.
+    pub fn exact(problem: &'a Problem<'a>) -> Self {
+        Self { problem, faces: Some(problem.faces) }
+    }
+
+    /// On the field of distances.
+    pub fn on_field(problem: &'a Problem<'a>) -> Self {
+        Self { problem, faces: None }
+    }
+
+    pub(in crate::register::surface) fn gel(&self) -> &'a Gel {
+        &self.problem.samples.gel
     }
 
     /// Predicts at the candidate's current state. On the field, the prediction kept in its slot is of
@@ -102,16 +104,20 @@ impl GelFit<'_> {
         work
     }
 
-    /// At most `most` steps to convergence; none once `budget` of work is spent.
-    pub fn run(&self, state: &mut Candidate, (most, budget): (u32, u64), scratch: &mut GelFitScratch) -> End {
+    /// Steps until convergence, or to the limits.
+    pub fn run(&self, state: &mut Candidate, limits: Limits, scratch: &mut GelFitScratch) -> End {
         scratch.show(state.slot);
         scratch.there.begin_as(&scratch.here);
-        let mut end = End { converged: false, iterations: 0, work: 0 };
-        let sigma_mm = self.params.point_sigma_mm;
-        let tolerance_mm = 10.0 * self.params.advanced.step_tolerance * sigma_mm;
-        while end.iterations < most && !end.converged && end.work < budget && !(self.stop)() {
+        let mut end = End::NONE;
+        let sigma_mm = self.problem.params.point_sigma_mm;
+        let tolerance_mm = 10.0 * self.problem.params.advanced.step_tolerance * sigma_mm;
+        while end.iterations < limits.max_steps
+            && !end.converged
+            && end.work < limits.max_work
+            && !(self.problem.stop)()
+        {
             end.iterations += 1;
-            let (step, work) = self.step(state, self.params.scaled(LAST_SCALE_MM), scratch);
+            let (step, work) = self.step(state, self.problem.params.scaled(LAST_SCALE_MM), scratch);
             end.work += work;
             let Some(step) = step else { break };
             let full_mm = sqrt(step.row[..6].iter().map(|x| x * x).sum());
@@ -142,7 +148,7 @@ impl GelFit<'_> {
 
     pub(in crate::register::surface) fn moved(&self, state: &Candidate, step: &Row, share: f64) -> Candidate {
         let z = step.map(|x| share * x);
-        let omega = DVec3::new(z[0], z[1], z[2]) / self.samples.radius_mm;
+        let omega = DVec3::new(z[0], z[1], z[2]) / self.problem.samples.radius_mm;
         Candidate {
             placement: state.placement.moved(omega, DVec3::new(z[3], z[4], z[5])),
             rest: Rest {
@@ -158,17 +164,17 @@ impl GelFit<'_> {
     fn predict_heights(&self, state: &Candidate, scratch: &mut GelFitScratch) -> u64 {
         let GelFitScratch { there, obstacle_mm, hints, lines, sweeps, .. } = scratch;
         let (placement, gel) = (&state.placement, self.gel());
-        let press = placement.object_direction(self.press_direction);
-        let per_radius = 1.0 / self.samples.radius_mm;
+        let press = placement.object_direction(self.problem.press_direction);
+        let per_radius = 1.0 / self.problem.samples.radius_mm;
         let mut work = 0;
         obstacle_mm.clear();
         there.is_known = true;
         there.sights.clear();
-        let start_mm = self.params.scaled(UNDER_MM);
+        let start_mm = self.problem.params.scaled(UNDER_MM);
         let line = |node: &Node| Line::new(placement.object_point(node.sample.p_mm), start_mm);
         lines.clear();
         lines.extend(gel.nodes.iter().map(line));
-        self.field.march(lines, press);
+        self.problem.field.march(lines, press);
         for ((node, line), hint) in gel.nodes.iter().zip(&*lines).zip(hints) {
             let foot = match &self.faces {
                 Some(faces) => faces.foot(line, press, hint),
@@ -190,7 +196,7 @@ impl GelFit<'_> {
             });
         }
         let stiffness = gel.stiffness(state.rest.log_decay);
-        let sweeps = gel.settle((stiffness, MAX_SWEEPS), obstacle_mm, &mut there.heights_mm, sweeps);
+        let sweeps = gel.settle(stiffness, MAX_SWEEPS, obstacle_mm, &mut there.heights_mm, sweeps);
         for ((sight, height_mm), obstacle_mm) in
             there.sights.iter_mut().zip(&there.heights_mm).zip(&*obstacle_mm)
         {
@@ -212,10 +218,11 @@ impl GelFit<'_> {
     fn weigh(&self, state: &Candidate, width_mm: f64, there: &mut Prediction) {
         let (placement, gel) = (&state.placement, self.gel());
         let mut likelihood = Likelihood::after(self.prior_cost(state));
-        let model = self.params.advanced.surface_sigma_mm * self.params.advanced.surface_sigma_mm
+        let model = self.problem.params.advanced.surface_sigma_mm
+            * self.problem.params.advanced.surface_sigma_mm
             + width_mm * width_mm;
-        let outliers = self.params.advanced.outlier_share.max(MIN_OUTLIERS);
-        let stray_mm = self.params.scaled(STRAY_MM);
+        let outliers = self.problem.params.advanced.outlier_share.max(MIN_OUTLIERS);
+        let stray_mm = self.problem.params.scaled(STRAY_MM);
         // The nodes resolve the edge at which the gel leaves the part to a pitch, over which the gel
         // sinks by 1 - e^(-pitch / l).
         let share = BETWEEN * (1.0 - exp(-1.0 / sqrt(gel.stiffness(state.rest.log_decay))));
@@ -223,12 +230,12 @@ impl GelFit<'_> {
             let (variance, wrong_mm) = match (sight.touches, &sight.foot) {
                 (true, Some(foot)) => {
                     let normal = placement.sensor_direction(foot.normal);
-                    let cosine = normal.dot(self.press_direction);
+                    let cosine = normal.dot(self.problem.press_direction);
                     (node.sample.variance(normal) / (cosine * cosine), 0.0)
                 }
                 _ => {
                     let wrong_mm = (share * abs(height_mm)).min(GAP_SHARE * sight.gap_mm);
-                    (node.sample.variance(self.press_direction), wrong_mm)
+                    (node.sample.variance(self.problem.press_direction), wrong_mm)
                 }
             };
             sight.variance_mm2 = variance + wrong_mm * wrong_mm + model;
@@ -244,7 +251,7 @@ impl GelFit<'_> {
 
     fn prior_cost(&self, state: &Candidate) -> f64 {
         let mut sum = Normal::ZERO;
-        sum.add_prior(&self.prior, &state.placement, self.samples.radius_mm, 1.0);
+        sum.add_prior(&self.problem.prior, &state.placement, self.problem.samples.radius_mm, 1.0);
         sum.cost + 0.5 * state.rest.log_decay * state.rest.log_decay / (DECAY_SIGMA * DECAY_SIGMA)
     }
 
@@ -255,10 +262,10 @@ impl GelFit<'_> {
         node: &Node,
         foot: &Foot,
     ) -> Row {
-        let radius_mm = self.samples.radius_mm;
+        let radius_mm = self.problem.samples.radius_mm;
         let normal = state.placement.sensor_direction(foot.normal);
-        let per_cosine = 1.0 / normal.dot(self.press_direction);
-        let under = node.sample.p_mm - self.press_direction * foot.over_mm;
+        let per_cosine = 1.0 / normal.dot(self.problem.press_direction);
+        let under = node.sample.p_mm - self.problem.press_direction * foot.over_mm;
         let (m, n) = (under.cross(normal) * (per_cosine / radius_mm), normal * per_cosine);
         let [u, v] = (node.across_mm / radius_mm).to_array();
         [m.x, m.y, m.z, n.x, n.y, n.z, -1.0, -u, -v, 0.0]

@@ -45,11 +45,12 @@ impl GelFit<'_> {
     /// Leaves the weight of every marker there.
     pub fn information(&self, state: &Candidate, scratch: &mut GelFitScratch) -> Symmetric<6> {
         self.find_walls(state, scratch);
-        let least = MIN_KNOWN / (self.params.advanced.gel_scale * self.params.advanced.gel_scale);
+        let min_information =
+            MIN_KNOWN / (self.problem.params.advanced.gel_scale * self.problem.params.advanced.gel_scale);
         let mut told = None;
         for pass in 1..=PASSES {
-            self.count(state, (told.as_ref(), pass == PASSES), scratch);
-            told = Some(Bounded::new(&self.sum(state, scratch), least, &mut scratch.walls));
+            self.count(state, told.as_ref(), pass == PASSES, scratch);
+            told = Some(Bounded::new(&self.sum(state, scratch), min_information, &mut scratch.walls));
         }
         told.map_or([[0.0; 6]; 6], |told| told.information(&scratch.walls))
     }
@@ -71,17 +72,13 @@ impl GelFit<'_> {
 
     /// Length of the next step of a state, over the patch.
     pub fn left_mm(&self, state: &Candidate, scratch: &mut GelFitScratch) -> f64 {
-        self.next(state, scratch)
-            .map_or(self.params.scaled(LONGEST_MM), |step| sqrt(step[..6].iter().map(|x| x * x).sum()))
+        self.next(state, scratch).map_or(self.problem.params.scaled(LONGEST_MM), |step| {
+            sqrt(step[..6].iter().map(|x| x * x).sum())
+        })
     }
 
     /// Weight of every marker's height, per mm², for the pose uncertainty `known`.
-    fn count(
-        &self,
-        state: &Candidate,
-        (known, is_last): (Option<&Bounded>, bool),
-        scratch: &mut GelFitScratch,
-    ) {
+    fn count(&self, state: &Candidate, known: Option<&Bounded>, is_last: bool, scratch: &mut GelFitScratch) {
         let GelFitScratch { here, counts_per_mm2, .. } = scratch;
         let gel = self.gel();
         counts_per_mm2.clear();
@@ -106,11 +103,11 @@ impl GelFit<'_> {
             }
             let height_mm = here.heights_mm[k];
             let lift_mm = height_mm - gel.free_mm(k, stiffness, &here.heights_mm);
-            let most_mm2 = if is_last { height_mm * height_mm / 3.0 } else { f64::INFINITY };
+            let max_mm2 = if is_last { height_mm * height_mm / 3.0 } else { f64::INFINITY };
             let hangs_mm2 = match known {
-                Some(known) => square_beyond(lift_mm, sqrt(known.variance(&row))).min(most_mm2),
+                Some(known) => square_beyond(lift_mm, sqrt(known.variance(&row))).min(max_mm2),
                 None if alike == ALL_SIDES || lift_mm > SURE * sqrt(sight.variance_mm2) => 0.0,
-                None => most_mm2,
+                None => max_mm2,
             };
             counts_per_mm2[k] = sight.weight / (sight.variance_mm2 + crosses_mm2 + hangs_mm2);
         }
@@ -124,10 +121,10 @@ impl GelFit<'_> {
         [(node, foot), (next, other)]: [(&Node, &Foot); 2],
     ) -> f64 {
         let placement = &state.placement;
-        let press = placement.object_direction(self.press_direction);
+        let press = placement.object_direction(self.problem.press_direction);
         let slopes = [foot, other].map(|foot| foot.normal / foot.normal.dot(press));
         let way = next.sample.p_mm - node.sample.p_mm;
-        let way = way - self.press_direction * way.dot(self.press_direction);
+        let way = way - self.problem.press_direction * way.dot(self.problem.press_direction);
         let (way_squared, in_object) = (way.length_squared(), placement.object_direction(way));
         if way_squared == 0.0 {
             return 0.0;
@@ -141,7 +138,7 @@ impl GelFit<'_> {
             // A crease parallel to the line between the nodes is equally near to both.
             let crosses = if rise == next_rise { 0.0 } else { crosses };
             let u = way / sqrt(way_squared);
-            let turn = node.sample.p_mm.cross(u) / self.samples.radius_mm;
+            let turn = node.sample.p_mm.cross(u) / self.problem.samples.radius_mm;
             let row = [turn.x, turn.y, turn.z, u.x, u.y, u.z];
             let variance_mm2 = known.variance(&row) + node.sample.variance(u);
             square_beyond(crosses, sqrt(variance_mm2 / way_squared)).min(anywhere)

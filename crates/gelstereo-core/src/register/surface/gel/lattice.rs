@@ -31,6 +31,16 @@ const NONE: u32 = u32::MAX;
 /// Largest number of cells per marker of a lattice.
 const SPARSE: usize = 12;
 
+/// Settings of relaxation sweeps.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::register::surface) struct Relaxation<T> {
+    /// (l / pitch)².
+    pub stiffness: f64,
+    pub max_sweeps: u32,
+    /// Largest change at which the sweeps end.
+    pub tolerance: T,
+}
+
 /// The cells of the markers.
 #[derive(Clone, Debug, Default)]
 pub(in crate::register::surface) struct Lattice {
@@ -224,7 +234,7 @@ impl Lattice {
     /// Heights over an obstacle, from the initial `heights_mm`. Returns the number of sweeps.
     pub fn settle(
         &self,
-        (stiffness, most, least_mm): (f64, u32, f64),
+        &Relaxation { stiffness, max_sweeps, tolerance }: &Relaxation<f64>,
         obstacle_mm: &[f64],
         heights_mm: &mut [f64],
         sweeps: &mut Sweeps,
@@ -240,12 +250,12 @@ impl Lattice {
             sweeps.shares[cell] = shares[count as usize];
         }
         sweeps.forget_first();
-        let mut taken = most;
-        for sweep in 1..=most {
+        let mut taken = max_sweeps;
+        for sweep in 1..=max_sweeps {
             for own in 0..2 {
                 self.settle_half(own, over, sweeps);
             }
-            if sweeps.moved.iter().all(|&moved_mm| moved_mm < least_mm) {
+            if sweeps.moved.iter().all(|&moved_mm| moved_mm < tolerance) {
                 taken = sweep;
                 break;
             }
@@ -261,13 +271,8 @@ impl Lattice {
         let (here, other) = halves(heights_mm, own, self.half);
         let at = self.inner();
         let [shares, obstacle_mm] = [&*shares, &*obstacle_mm].map(|all| &all[own * self.half..][at.clone()]);
-        relax(
-            (over, own == 1),
-            &mut here[at],
-            self.near(own).map(|near| &other[near]),
-            (shares, obstacle_mm),
-            moved,
-        );
+        let near = self.near(own).map(|near| &other[near]);
+        relax(over, own == 1, &mut here[at], near, shares, obstacle_mm, moved);
     }
 
     /// Derivatives of the heights where the gel is free, from those where it is in contact. The last of
@@ -275,10 +280,12 @@ impl Lattice {
     /// the number of sweeps.
     pub fn follow<const N: usize>(
         &self,
-        (stiffness, most, least): (f64, u32, [f64; N]),
-        (touches, heights_mm): (impl Fn(usize) -> bool, &[f64]),
+        &Relaxation { stiffness, max_sweeps, tolerance }: &Relaxation<[f64; N]>,
+        touches: impl Fn(usize) -> bool,
+        heights_mm: &[f64],
         changes: &mut [[f64; N]],
-        (sweeps, cells): (&mut Sweeps, &mut Vec<[f64; N]>),
+        sweeps: &mut Sweeps,
+        cells: &mut Vec<[f64; N]>,
     ) -> u32 {
         let over = over_relaxation(stiffness);
         cells.clear();
@@ -293,13 +300,13 @@ impl Lattice {
         }
         sweeps.forget_first();
         cells[0] = [0.0; N];
-        let mut taken = most;
-        for sweep in 1..=most {
+        let mut taken = max_sweeps;
+        for sweep in 1..=max_sweeps {
             let mut largest = [0.0; N];
             for own in 0..2 {
                 self.follow_half(own, stiffness, sweeps, cells, &mut largest);
             }
-            if largest.iter().zip(&least).all(|(step, least)| step < least) {
+            if largest.iter().zip(&tolerance).all(|(step, tolerance)| step < tolerance) {
                 taken = sweep;
                 break;
             }
@@ -418,10 +425,12 @@ impl Sweeps {
 /// Half a sweep of projected over-relaxation: moves every cell beyond the value given by its neighbours,
 /// but not below the obstacle.
 fn relax(
-    (over, is_second): (f64, bool),
+    over: f64,
+    is_second: bool,
     here: &mut [f64],
     near: [&[f64]; WAYS.len()],
-    (shares, obstacle_mm): (&[f64], &[f64]),
+    shares: &[f64],
+    obstacle_mm: &[f64],
     moved: &mut [f64],
 ) {
     let count = here.len();

@@ -2,9 +2,11 @@
 
 use super::fit::{DECAY_SIGMA, GelFit, LAST_SCALE_MM, LONGEST_MM, SWEEPS_A_LOOKUP};
 use super::lattice::Node;
+use super::model::FEW_SWEEPS;
 use super::prediction::{DECAY, GelFitScratch, PLANE, Prediction, Row, Sight, UNKNOWN};
 use crate::math::linalg::{Symmetric, eigen};
 use crate::math::sqrt;
+use crate::register::observe::dot;
 use crate::register::surface::candidate::Candidate;
 use crate::register::surface::distances::{Line, UNDER_MM};
 use crate::register::surface::normal_system::{Normal, cholesky};
@@ -19,8 +21,6 @@ const WIDEST_MM: f64 = 0.25;
 const BESIDE: f64 = 2.5;
 /// Smallest share of a failed step that is tried next.
 const MIN_SHARE: f64 = 0.02;
-/// Sweeps over the gel where the result only directs a step.
-const FEW_SWEEPS: u32 = 8;
 
 /// A step of all unknowns.
 pub(in crate::register::surface) struct Step {
@@ -52,8 +52,7 @@ impl GelFit<'_> {
         }
         let touches = |k: usize| here.sights[k].touches;
         let stiffness = gel.stiffness(state.rest.log_decay);
-        let seen = (touches, &here.heights_mm[..]);
-        let sweeps = gel.follow((stiffness, FEW_SWEEPS), seen, changes, (sweeps, cells));
+        let sweeps = gel.follow(stiffness, touches, &here.heights_mm, changes, sweeps, cells);
         u64::from(sweeps) * (gel.nodes.len() * UNKNOWN) as u64 / SWEEPS_A_LOOKUP / 4
     }
 
@@ -69,7 +68,7 @@ impl GelFit<'_> {
                 (i..UNKNOWN).for_each(|k| h[i][k] += wj * row[k]);
             }
         }
-        let plane_mm = self.params.scaled(PLANE_SIGMA_MM);
+        let plane_mm = self.problem.params.scaled(PLANE_SIGMA_MM);
         for i in PLANE..DECAY {
             h[i][i] += 1.0 / (plane_mm * plane_mm);
         }
@@ -81,9 +80,9 @@ impl GelFit<'_> {
     fn beside(&self, state: &Candidate, scale_mm: f64, scratch: &mut GelFitScratch) -> u64 {
         let GelFitScratch { here, there, obstacle_mm, lines, sweeps, .. } = scratch;
         let (placement, gel) = (&state.placement, self.gel());
-        let press = placement.object_direction(self.press_direction);
-        let per_radius = 1.0 / self.samples.radius_mm;
-        let (near_mm, under_mm) = (BESIDE * scale_mm, self.params.scaled(UNDER_MM));
+        let press = placement.object_direction(self.problem.press_direction);
+        let per_radius = 1.0 / self.problem.samples.radius_mm;
+        let (near_mm, under_mm) = (BESIDE * scale_mm, self.problem.params.scaled(UNDER_MM));
         let mut lookups = 0;
         let line = |(node, sight): (&Node, &Sight)| {
             let start_mm = match sight.foot {
@@ -96,7 +95,7 @@ impl GelFit<'_> {
         };
         lines.clear();
         lines.extend(gel.nodes.iter().zip(&here.sights).map(line));
-        self.field.march(lines, press);
+        self.problem.field.march(lines, press);
         obstacle_mm.clear();
         obstacle_mm.extend(gel.nodes.iter().zip(&*lines).map(|(node, line)| {
             let over_plane_mm = node.along_mm - state.rest.at(node.across_mm * per_radius);
@@ -105,7 +104,7 @@ impl GelFit<'_> {
         there.heights_mm.clear();
         there.heights_mm.extend_from_slice(&here.heights_mm);
         let stiffness = gel.stiffness(state.rest.log_decay);
-        let sweeps = gel.settle((stiffness, FEW_SWEEPS), obstacle_mm, &mut there.heights_mm, sweeps);
+        let sweeps = gel.settle(stiffness, FEW_SWEEPS, obstacle_mm, &mut there.heights_mm, sweeps);
         lookups + u64::from(sweeps) * gel.nodes.len() as u64 / SWEEPS_A_LOOKUP
     }
 
@@ -127,7 +126,7 @@ impl GelFit<'_> {
                 core::array::from_fn(|k| spectrum.vectors[k].iter().zip(&*row).map(|(u, x)| u * x).sum());
             row[..6].copy_from_slice(&turned);
         }
-        let [smooth_mm, widest_mm] = [SMOOTH_MM, WIDEST_MM].map(|mm| self.params.scaled(mm));
+        let [smooth_mm, widest_mm] = [SMOOTH_MM, WIDEST_MM].map(|mm| self.problem.params.scaled(mm));
         for (k, (value, u)) in spectrum.values.iter().zip(&spectrum.vectors).enumerate() {
             if *value * smooth_mm * smooth_mm > 1.0 || scale_mm > widest_mm {
                 continue;
@@ -153,7 +152,7 @@ impl GelFit<'_> {
         state: &Candidate,
         scratch: &mut GelFitScratch,
     ) -> Option<Row> {
-        self.step(state, self.params.scaled(LAST_SCALE_MM), scratch).0.map(|step| step.row)
+        self.step(state, self.problem.params.scaled(LAST_SCALE_MM), scratch).0.map(|step| step.row)
     }
 
     /// The step from `here`, at most [`LONGEST_MM`] over the patch, and the work.
@@ -165,7 +164,7 @@ impl GelFit<'_> {
     ) -> (Option<Step>, u64) {
         let (mut h, mut g, basis, work) = self.linear(state, scale_mm, scratch);
         let mut prior = Normal::ZERO;
-        prior.add_prior(&self.prior, &state.placement, self.samples.radius_mm, 1.0);
+        prior.add_prior(&self.problem.prior, &state.placement, self.problem.samples.radius_mm, 1.0);
         let (prior_h, prior_g) = prior.parts();
         for i in 0..6 {
             g[i] += dot(&basis[i], prior_g);
@@ -177,7 +176,7 @@ impl GelFit<'_> {
         g[DECAY] -= state.rest.log_decay / (DECAY_SIGMA * DECAY_SIGMA);
         let step = cholesky(&h, &g).filter(|z| z.iter().all(|x| x.is_finite())).map(|z| {
             let length = sqrt(z[..6].iter().map(|x| x * x).sum());
-            let longest_mm = self.params.scaled(LONGEST_MM);
+            let longest_mm = self.problem.params.scaled(LONGEST_MM);
             let share = if length > longest_mm { longest_mm / length } else { 1.0 };
             let mut row = z.map(|x| share * x);
             let slope = row.iter().zip(&g).map(|(x, g)| x * g).sum();
@@ -189,7 +188,7 @@ impl GelFit<'_> {
     }
 
     fn fill_rows(&self, scratch: &mut GelFitScratch) {
-        let radius_mm = self.samples.radius_mm;
+        let radius_mm = self.problem.samples.radius_mm;
         scratch.rows.clear();
         for (node, change) in self.gel().nodes.iter().zip(&scratch.changes) {
             let [u, v] = (node.across_mm / radius_mm).to_array();
@@ -200,10 +199,6 @@ impl GelFit<'_> {
             scratch.rows.push(row);
         }
     }
-}
-
-fn dot(a: &[f64; 6], b: &[f64; 6]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
 /// Schur complement of the unknowns other than the pose, eliminated from the last one on. Reads only the

@@ -6,6 +6,7 @@ pub mod information;
 pub mod lattice;
 pub mod linear;
 pub mod model;
+pub mod objective;
 pub mod prediction;
 pub mod rest;
 pub mod unsupported;

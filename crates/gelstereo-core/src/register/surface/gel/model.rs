@@ -6,7 +6,7 @@
 //! with the markers as nodes. The contact set follows from the pose, not from the noise of the markers:
 //! selecting those that happen to lie near the part would bias the pose towards them.
 
-use super::lattice::{Lattice, Node, Sweeps};
+use super::lattice::{Lattice, Node, Relaxation, Sweeps};
 use crate::math::{DVec2, DVec3, exp, floor, sqrt};
 use crate::register::surface::normal_system::cholesky;
 use crate::register::surface::point::Sample;
@@ -18,6 +18,8 @@ const NODES: core::ops::RangeInclusive<usize> = 30..=6000;
 const MARGIN_MM: f64 = 6.0;
 /// Convergence limit of a sweep's largest change, far below any noise.
 const SETTLED_MM: f64 = 3e-4;
+/// Sweeps over the gel where the result only directs a step.
+pub(in crate::register::surface) const FEW_SWEEPS: u32 = 8;
 /// Number of markers whose nearest-neighbour distances estimate the pitch.
 const ASKED: usize = 15;
 
@@ -51,7 +53,8 @@ impl Gel {
     /// are salient. Empty if they do not form a lattice.
     pub fn fill(
         &mut self,
-        (markers, salient): (impl Iterator<Item = Sample>, usize),
+        markers: impl Iterator<Item = Sample>,
+        salient: usize,
         press: DVec3,
         decay_mm: f64,
         gel_scale: f64,
@@ -125,12 +128,14 @@ impl Gel {
     /// Heights of the gel over an obstacle, from the initial `heights_mm`. Returns the number of sweeps.
     pub fn settle(
         &self,
-        (stiffness, most): (f64, u32),
+        stiffness: f64,
+        max_sweeps: u32,
         obstacle_mm: &[f64],
         heights_mm: &mut [f64],
         sweeps: &mut Sweeps,
     ) -> u32 {
-        self.lattice.settle((stiffness, most, SETTLED_MM * self.scale), obstacle_mm, heights_mm, sweeps)
+        let relaxation = Relaxation { stiffness, max_sweeps, tolerance: SETTLED_MM * self.scale };
+        self.lattice.settle(&relaxation, obstacle_mm, heights_mm, sweeps)
     }
 
     /// The neighbours of a node, at most four.
@@ -153,14 +158,17 @@ impl Gel {
     /// the number of sweeps.
     pub fn follow<const N: usize>(
         &self,
-        (stiffness, most): (f64, u32),
-        (touches, heights_mm): (impl Fn(usize) -> bool, &[f64]),
+        stiffness: f64,
+        touches: impl Fn(usize) -> bool,
+        heights_mm: &[f64],
         changes: &mut [[f64; N]],
-        sweeps: (&mut Sweeps, &mut Vec<[f64; N]>),
+        sweeps: &mut Sweeps,
+        cells: &mut Vec<[f64; N]>,
     ) -> u32 {
-        let mut least = [FOLLOWED; N];
-        least[N - 1] *= self.scale;
-        self.lattice.follow((stiffness, most, least), (touches, heights_mm), changes, sweeps)
+        let mut tolerance = [FOLLOWED; N];
+        tolerance[N - 1] *= self.scale;
+        let relaxation = Relaxation { stiffness, max_sweeps: FEW_SWEEPS, tolerance };
+        self.lattice.follow(&relaxation, touches, heights_mm, changes, sweeps, cells)
     }
 }
 

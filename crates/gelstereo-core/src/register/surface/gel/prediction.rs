@@ -4,6 +4,7 @@ use super::lattice::Sweeps;
 use super::model::Gel;
 use crate::register::observe::Vector6;
 use crate::register::surface::distances::{Foot, Line};
+use crate::register::verdict::MeanSquare;
 use alloc::vec::Vec;
 use core::mem::swap;
 
@@ -58,9 +59,8 @@ impl Prediction {
         mean(self.at_part().map(|s| s.weight * squared(s) + 1.0 - s.weight)).unwrap_or(f64::INFINITY)
     }
 
-    /// As [`Self::misfit`], for the markers in contact and those selected by their index, and the number of
-    /// these markers. Outliers beyond the expected share are not due to chance; each counts `MAX_SQUARE`.
-    pub fn touching_misfit(&self, outlier_share: f64, and: impl Fn(usize) -> bool) -> (f64, f64) {
+    /// As [`Self::misfit`], for the markers in contact and those selected by their index. Outliers beyond the expected share are not due to chance; each counts `MAX_SQUARE`.
+    pub fn touching_misfit(&self, outlier_share: f64, and: impl Fn(usize) -> bool) -> MeanSquare {
         let tested = || {
             let all = self.sights.iter().enumerate();
             all.filter(|(k, sight)| sight.touches || and(*k)).map(|(_, sight)| sight)
@@ -69,7 +69,7 @@ impl Prediction {
         let good = mean(tested().map(|s| s.weight * squared(s) + 1.0 - s.weight)).unwrap_or(1.0);
         let outliers = mean(tested().map(|s| 1.0 - s.weight)).unwrap_or(0.0);
         let unexpected = (outliers - outlier_share).max(0.0);
-        (good + unexpected * (MAX_SQUARE - 1.0), tested().count() as f64)
+        MeanSquare { mean: good + unexpected * (MAX_SQUARE - 1.0), count: tested().count() as f64 }
     }
 
     /// The markers in contact with the part or lifted.

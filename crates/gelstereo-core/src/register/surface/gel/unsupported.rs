@@ -73,7 +73,7 @@ mod tests {
         };
         let markers = (0..heights_mm.len()).map(|k| Sample::new(place(k), [SIGMA_MM * SIGMA_MM; 6]));
         let mut gel = Gel::default();
-        gel.fill((markers, heights_mm.len()), DVec3::NEG_Z, 2.5, 1.0);
+        gel.fill(markers, heights_mm.len(), DVec3::NEG_Z, 2.5, 1.0);
         gel
     }
 
@@ -92,7 +92,7 @@ mod tests {
         let mut heights_mm = alloc::vec![0.0; obstacle_mm.len()];
         let mut sweeps = Sweeps::default();
         gel.lay_out(&mut sweeps);
-        gel.settle((gel.stiffness(0.0), 500), &obstacle_mm, &mut heights_mm, &mut sweeps);
+        gel.settle(gel.stiffness(0.0), 500, &obstacle_mm, &mut heights_mm, &mut sweeps);
         let mut random = Stream::new(1, "hanging");
         let mut noisy = level;
         let mut is_salient = alloc::vec![false; noisy.len()];

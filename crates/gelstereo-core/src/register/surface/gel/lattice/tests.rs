@@ -3,6 +3,10 @@ use crate::math::random::Stream;
 use crate::math::{DVec3, cos, sin};
 use crate::register::surface::point::Sample;
 
+fn relaxation<T>(stiffness: f64, tolerance: T) -> Relaxation<T> {
+    Relaxation { stiffness, max_sweeps: 500, tolerance }
+}
+
 /// Markers of a rotated lattice with disorder and holes, sorted row by row, and their true columns and rows.
 fn markers(random: &mut Stream, sides: [i32; 2], disorder: f64) -> (Vec<Node>, Vec<[i32; 2]>) {
     let angle = core::f64::consts::TAU * random.uniform();
@@ -54,7 +58,7 @@ fn heights_are_those_of_the_true_neighbours_one_by_one() {
             .map(|_| if touch(&mut random) { random.uniform() } else { f64::NEG_INFINITY })
             .collect();
         let mut heights_mm = alloc::vec![0.0; at.len()];
-        let taken = lattice.settle((stiffness, 500, 1e-10), &obstacle_mm, &mut heights_mm, &mut sweeps);
+        let taken = lattice.settle(&relaxation(stiffness, 1e-10), &obstacle_mm, &mut heights_mm, &mut sweeps);
         let truth_mm = slowly(&at, stiffness, &obstacle_mm);
         assert!(taken < 500);
         for (found, truth) in heights_mm.iter().zip(&truth_mm) {
@@ -66,10 +70,12 @@ fn heights_are_those_of_the_true_neighbours_one_by_one() {
         let mut changes: Vec<[f64; 2]> =
             (0..at.len()).map(|k| [f64::from(u8::from(touches(k))), 0.0]).collect();
         lattice.follow(
-            (stiffness, 500, [1e-10; 2]),
-            (touches, &heights_mm),
+            &relaxation(stiffness, [1e-10; 2]),
+            touches,
+            &heights_mm,
             &mut changes,
-            (&mut sweeps, &mut cells),
+            &mut sweeps,
+            &mut cells,
         );
         let raised: Vec<f64> = obstacle_mm.iter().map(|x| x + h).collect();
         let raised = slowly(&at, stiffness, &raised);
@@ -99,6 +105,6 @@ fn markers_without_neighbours_stand_on_the_part_alone() {
     let mut heights_mm = [0.3; 38];
     let mut sweeps = Sweeps::default();
     lattice.lay_out(&mut sweeps);
-    lattice.settle((4.0, 500, 1e-10), &obstacle_mm, &mut heights_mm, &mut sweeps);
+    lattice.settle(&relaxation(4.0, 1e-10), &obstacle_mm, &mut heights_mm, &mut sweeps);
     assert!(heights_mm[37] == 0.7 && heights_mm[..37].iter().all(|x| x.abs() < 1e-8), "{heights_mm:?}");
 }
