@@ -65,11 +65,6 @@ RUNGS = (
             }
         },
     ),
-    Rung(
-        "detect",
-        "blocks + auto + matched",
-        {"detect": {"background": "blocks", "threshold": "auto", "centre": "matched"}},
-    ),
     Rung("detect", "blocks + auto + fit", {"detect": _FIT}),
     Rung("label", "foresight (paper)", {"label": {"method": "foresight"}}, "balanced"),
     Rung(

@@ -34,14 +34,9 @@ fn detection_allocates_for_the_first_image_only() {
     let backgrounds = [Background::Gaussian, Background::Blocks];
     let thresholds = [Threshold::Fixed, Threshold::Auto];
     for (background, threshold) in backgrounds.into_iter().flat_map(|b| thresholds.map(|t| (b, t))) {
-        for (centre, kernel_px) in [
-            (Centre::Binary, 1),
-            (Centre::Grey, 1),
-            (Centre::Band, 1),
-            (Centre::Grey, 5),
-            (Centre::Matched, 1),
-            (Centre::Fit, 1),
-        ] {
+        for (centre, kernel_px) in
+            [(Centre::Binary, 1), (Centre::Grey, 1), (Centre::Band, 1), (Centre::Grey, 5), (Centre::Fit, 1)]
+        {
             let mut params = Params::default().detect;
             (params.background, params.threshold, params.centre) = (background, threshold, centre);
             (params.morphology_kernel_px, params.min_area_px2, params.smooth_kernel_px) = (kernel_px, 1, 1);

@@ -55,10 +55,10 @@ fn markers_are_found_in_windows_as_in_the_whole_image() {
     }
 }
 
-/// The step from a window's centre, with the usual radius, errs by a tenth more at most than the step from a component's
-/// mean position, with the component's radius.
+/// The fit from a window's centre, with the usual marker's form, errs by a tenth more at most than the fit from a
+/// component's mean position and spread.
 #[test]
-fn matched_steps_from_windows_are_as_good_as_those_of_the_whole_image() {
+fn fits_from_windows_are_as_good_as_those_of_the_whole_image() {
     let truth = paper_lattice();
     let params = Params::preset("balanced").unwrap().detect;
     let image = Dots { noise: 2.0, seed: 3, ..Dots::new(640, 480, truth.clone()) }.render();

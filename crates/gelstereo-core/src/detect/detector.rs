@@ -65,7 +65,7 @@ impl Detector {
         Self { roi_px, ..self }
     }
 
-    /// Discards what was learned from earlier images (the weights of [`Centre::Matched`], the noise of
+    /// Discards what was learned from earlier images (the usual marker of [`Centre::Fit`], the noise of
     /// [`Centre::Band`]), so that the next result is bit-identical to that of a first image.
     pub fn reset(&mut self) {
         self.rung.get().forget();
@@ -140,7 +140,7 @@ impl Detector {
     #[must_use]
     pub fn size_for_windows(&self, usual_area_px2: f64, pitch_px: f64) -> Option<MarkerSize> {
         let suits = self.params.threshold == Threshold::Auto
-            && matches!(self.params.centre, Centre::Band | Centre::Matched);
+            && matches!(self.params.centre, Centre::Band | Centre::Fit);
         MarkerSize::of(usual_area_px2).filter(|size| suits && size.fits(pitch_px))
     }
 
@@ -163,8 +163,8 @@ impl Detector {
     /// Searches for one marker within `reach_px` of each expected position, in both axes, reading only
     /// windows of the image. `out` is cleared first.
     ///
-    /// Each window has its own gel level and threshold. No marker is assigned twice. A matched filter
-    /// step starts from the soft-threshold centroid, with the weights chosen in the last [`Self::run`].
+    /// Each window has its own gel level and threshold. No marker is assigned twice. A model fit starts from
+    /// the soft-threshold centroid, with what was learned in the last [`Self::run`].
     /// Does not allocate after [`Self::reserve_windows`].
     pub fn run_windows(
         &mut self,

@@ -51,13 +51,9 @@ pub enum Centre {
     /// The same over a square about the marker, from a fifth to seven tenths of its largest contrast: 0.045 px rms,
     /// 0.2 µs a marker. Markers that do not lie alone in that square get the `grey` centre.
     Band,
-    /// One step of a matched template from the mean position: 0.031 px rms, 4 % more than the model fit of the same images,
-    /// with a covariance per marker from the image's noise and grain, at two thirds of the grey centroid's instructions.
-    /// Where it does not serve (beside the border, merged, smeared) the grey centroid does. The first image takes some
-    /// 20 ms more, for its weights are made then.
-    Matched,
-    /// Fit of a blurred ellipse, in the noise and grain of the image: 0.029 px rms, 1.02 times the Cramér-Rao bound
-    /// (simulated, noise 2 levels, paint grain), with a covariance per marker; 35 000 instructions a marker.
+    /// Fit of a blurred ellipse in the image's noise and grain: 0.029 px rms, with a covariance for each marker. A step
+    /// with weights computed once an image serves most markers; others get steps of their own. A centroid serves where
+    /// a fit does not converge (beside the border, merged, smeared).
     Fit,
 }
 
@@ -70,7 +66,7 @@ pub enum Search {
     Whole,
     /// As long as the labels are certain: half a pitch around each marker's predicted position, and around places one pitch
     /// outside the lattice. The same frame is searched whole when one of those places shows a marker, when many windows
-    /// show none, or when the labels are not certain. With `threshold` = `auto` and `centre` = `band` or `matched` nothing else
+    /// show none, or when the labels are not certain. With `threshold` = `auto` and `centre` = `band` or `fit` nothing else
     /// of the image is read: light and threshold are each window's own, a frame of 625 markers takes a third to a half of
     /// the time, and centres differ from those of the whole search by a part of their noise: rms errors agree within 3 %.
     /// Other rungs take light and threshold from the whole image: same centres, a fifth slower than the whole search.
@@ -103,9 +99,9 @@ pub struct FitParams {
     /// image. Valid: 0.3 to 5 px. Default: absent. Set it where the lens was measured, to save the estimate.
     #[cfg_attr(feature = "serde", serde(skip_serializing_if = "Option::is_none"))]
     pub blur_px: Option<f64>,
-    /// A fit has settled when a step moves the centre by less than this; what is left is a fraction of it.
-    /// Valid: 1e-12 to 1 px. Default: `0.02` px. Lower it to compare fits; it costs time and gains nothing in
-    /// noise.
+    /// A fit has converged when a step moves the centre by less than this; what is left is a fraction of it.
+    /// Below 0.01 px every marker gets steps with its own outline, which take three times as long. Valid:
+    /// 1e-12 to 1 px. Default: `0.02` px. Lower it for the least error.
     pub step_px: f64,
 }
 

@@ -18,8 +18,9 @@ const SETTINGS: [(&str, &str); 13] = [
 ];
 
 /// Methods that were dropped, by setting, and the one that is better in every respect.
-const METHODS: [(&str, &str, &str); 3] = [
+const METHODS: [(&str, &str, &str); 4] = [
     ("detect.background", "box", "blocks"),
+    ("detect.centre", "matched", "fit"),
     ("label.method", "temporal", "lattice"),
     ("register.method", "icp_plane", "surface_close"),
 ];

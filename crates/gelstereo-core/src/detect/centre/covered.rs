@@ -129,6 +129,21 @@ pub(in crate::detect) fn unfitted_px2(image: GrayView<'_>, markers: &Markers, in
     variance_px2(image, centre_px, (f64::from(area_px2), f64::from(usual_px2)))
 }
 
+/// Variance of a coordinate, px², of a listed marker whose model was fitted, if its area differs both from the
+/// usual one and from those of the markers around it: a part is hidden.
+pub(in crate::detect) fn hidden_px2(
+    image: GrayView<'_>,
+    markers: &Markers,
+    index: usize,
+    usual_px2: f64,
+) -> f64 {
+    let is_usual = abs(1.0 - f64::from(markers.area_px2[index]) / usual_px2) <= AREA_SPREAD;
+    if is_usual || is_under_glare(image, markers.centres_px[index], sqrt(usual_px2 * FRAC_1_PI)) {
+        return 0.0;
+    }
+    unfitted_px2(image, markers, index)
+}
+
 /// Range of the areas of the markers nearest to a listed one, without the smallest and largest, since one
 /// may be covered too. Unlimited with too few markers.
 fn areas_around_px2(markers: &Markers, index: usize) -> (u32, u32) {

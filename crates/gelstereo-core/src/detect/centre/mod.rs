@@ -4,7 +4,6 @@ mod binary;
 pub(super) mod covered;
 pub mod fit;
 mod influence;
-pub mod matched;
 mod middle;
 pub(super) mod noise;
 mod region;

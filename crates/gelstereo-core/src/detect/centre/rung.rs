@@ -3,7 +3,6 @@
 use super::CentreRung;
 use super::binary::BinaryCentroid;
 use super::fit::DiscFit;
-use super::matched::Matched;
 use super::soft_threshold::SoftThreshold;
 use super::weighted::WeightedCentroid;
 use crate::params::{Centre, DetectParams};
@@ -15,7 +14,6 @@ pub(in crate::detect) enum Rung {
     Binary(BinaryCentroid),
     Grey(WeightedCentroid),
     Band(SoftThreshold),
-    Matched(Box<Matched>),
     Fit(Box<DiscFit>),
 }
 
@@ -26,7 +24,6 @@ impl Rung {
             Centre::Binary => Self::Binary(BinaryCentroid::new(params)),
             Centre::Grey => Self::Grey(WeightedCentroid::new(params)),
             Centre::Band => Self::Band(SoftThreshold::new(params)),
-            Centre::Matched => Self::Matched(Box::new(Matched::new(params))),
             Centre::Fit => Self::Fit(Box::new(DiscFit::new(params))),
         }
     }
@@ -36,7 +33,6 @@ impl Rung {
             Self::Binary(rung) => rung,
             Self::Grey(rung) => rung,
             Self::Band(rung) => rung,
-            Self::Matched(rung) => rung.as_mut(),
             Self::Fit(rung) => rung.as_mut(),
         }
     }

@@ -109,11 +109,6 @@ impl Difference {
         &self.thresholds
     }
 
-    /// Image-sized buffer, free for other use until the next [`Self::survey`].
-    pub const fn spare(&mut self) -> &mut Vec<u8> {
-        &mut self.smoothed
-    }
-
     /// Writes 255 where a pixel of row `y` of the prepared image differs by the threshold, else 0. Rows
     /// must be passed in order, from row 0 on.
     pub fn row(&mut self, image: GrayView<'_>, y: usize, mask: &mut [u8]) {

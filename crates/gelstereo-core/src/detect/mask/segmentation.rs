@@ -19,8 +19,6 @@ pub(in crate::detect) struct Segmentation {
     /// Whether closing changes anything.
     closes: bool,
     pub components: Components,
-    /// Size of the last image.
-    size_px: (usize, usize),
     /// Whole mask of 0 and 255, or only its last row.
     mask: Vec<u8>,
 }
@@ -33,7 +31,6 @@ impl Segmentation {
             closing: Closing::new(params.morphology_kernel_px),
             closes: params.morphology_kernel_px > 1,
             components: Components::keeping(params.min_area_px2.min(MIN_NEIGHBOUR_PX2)),
-            size_px: (0, 0),
             mask: Vec::new(),
         }
     }
@@ -44,7 +41,6 @@ impl Segmentation {
     /// [`DetectError::TooMany`].
     pub fn run(&mut self, image: GrayView<'_>) -> Result<(), DetectError> {
         let (width, height) = (image.width(), image.height());
-        self.size_px = (width, height);
         if self.closes {
             self.mask_all(image);
         } else {
@@ -93,28 +89,17 @@ impl Segmentation {
         &self.mask
     }
 
-    /// The components and their mask, in a buffer that is free until the next image.
-    pub fn draw(&mut self) -> (&Components, &[u8]) {
-        let Self { difference, components, size_px, .. } = self;
-        let mask = difference.spare();
-        fill_mask(components, *size_px, 1, mask);
-        (components, mask)
-    }
-
     /// Writes the mask of the components for an image of this size, row by row: 255 where a pixel belongs
     /// to one. Each component pixel covers `scale` x `scale` image pixels.
     pub fn draw_scaled(&self, size_px: (usize, usize), scale: usize, out: &mut Vec<u8>) {
-        fill_mask(&self.components, size_px, scale, out);
-    }
-}
-
-fn fill_mask(components: &Components, (width, height): (usize, usize), scale: usize, out: &mut Vec<u8>) {
-    out.clear();
-    out.resize(width * height, 0);
-    for run in components.all_runs() {
-        for y in run.y as usize * scale..(run.y as usize + 1) * scale {
-            let first = y * width;
-            out[first + run.start as usize * scale..first + run.end as usize * scale].fill(u8::MAX);
+        let (width, height) = size_px;
+        out.clear();
+        out.resize(width * height, 0);
+        for run in self.components.all_runs() {
+            for y in run.y as usize * scale..(run.y as usize + 1) * scale {
+                let first = y * width;
+                out[first + run.start as usize * scale..first + run.end as usize * scale].fill(u8::MAX);
+            }
         }
     }
 }

@@ -6,6 +6,7 @@
 //! shares of the markers' contrast, the same at both resolutions. Otherwise the image is searched at full
 //! resolution from scratch.
 
+use crate::detect::centre::noise::MarkerPixels;
 use crate::detect::centre::soft_threshold::SoftThreshold;
 use crate::detect::markers::Markers;
 use crate::detect::mask::blob_filter::{BlobFilter, area_range_px2};
@@ -158,7 +159,13 @@ impl HalfSize {
         self.is_complete = size.is_some();
         match size {
             Some(size) => {
-                rung.state_variances(image, &size, (&self.whole.segmentation.components, SCALE), out);
+                let components = &self.whole.segmentation.components;
+                rung.state_variances(
+                    image,
+                    &size,
+                    MarkerPixels::Components { components, scale: SCALE },
+                    out,
+                );
             }
             None => out.clear(),
         }
