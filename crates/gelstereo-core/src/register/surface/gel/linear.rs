@@ -4,10 +4,10 @@ use super::fit::{DECAY_SIGMA, GelFit, LAST_SCALE_MM, LONGEST_MM, SWEEPS_A_LOOKUP
 use super::lattice::Node;
 use super::prediction::{DECAY, GelFitScratch, PLANE, Prediction, Row, Sight, UNKNOWN};
 use crate::math::linalg::{Symmetric, eigen};
-use crate::math::sqrt;
+use crate::math::{solve_definite, sqrt};
 use crate::register::surface::candidate::Candidate;
 use crate::register::surface::distances::{Line, UNDER_MM};
-use crate::register::surface::normal_system::{Normal, cholesky};
+use crate::register::surface::normal_system::Normal;
 
 /// Standard deviation of the initial rest plane.
 const PLANE_SIGMA_MM: f64 = 1.0;
@@ -175,7 +175,7 @@ impl GelFit<'_> {
             });
         }
         g[DECAY] -= state.rest.log_decay / (DECAY_SIGMA * DECAY_SIGMA);
-        let step = cholesky(&h, &g).filter(|z| z.iter().all(|x| x.is_finite())).map(|z| {
+        let step = solve_definite(&h, &g).filter(|z| z.iter().all(|x| x.is_finite())).map(|z| {
             let length = sqrt(z[..6].iter().map(|x| x * x).sum());
             let longest_mm = self.params.scaled(LONGEST_MM);
             let share = if length > longest_mm { longest_mm / length } else { 1.0 };
