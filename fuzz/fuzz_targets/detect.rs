@@ -21,7 +21,7 @@ impl<'a> Arbitrary<'a> for Input {
         let mut params = Params::default();
         let detect = &mut params.detect;
         detect.background = *u.choose(&[Background::Gaussian, Background::Blocks])?;
-        detect.centre = *u.choose(&[Centre::Binary, Centre::Grey, Centre::Band, Centre::Fit])?;
+        detect.centre = *u.choose(&[Centre::Binary, Centre::Grey, Centre::SoftThreshold, Centre::Fit])?;
         detect.threshold = *u.choose(&[Threshold::Fixed, Threshold::Auto])?;
         detect.polarity = *u.choose(&[Polarity::Dark, Polarity::Bright])?;
         detect.smooth_kernel_px = 2 * u.int_in_range(0..=15)? + 1;

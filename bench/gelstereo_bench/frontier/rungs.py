@@ -50,17 +50,17 @@ RUNGS = (
     ),
     Rung(
         "detect",
-        "blocks + auto + band",
-        {"detect": {"background": "blocks", "threshold": "auto", "centre": "band"}},
+        "blocks + auto + soft threshold",
+        {"detect": {"background": "blocks", "threshold": "auto", "centre": "soft_threshold"}},
     ),
     Rung(
         "detect",
-        "blocks + auto + band at half size",
+        "blocks + auto + soft threshold at half size",
         {
             "detect": {
                 "background": "blocks",
                 "threshold": "auto",
-                "centre": "band",
+                "centre": "soft_threshold",
                 "find_at": "half_size",
             }
         },

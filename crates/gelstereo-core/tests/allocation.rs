@@ -34,9 +34,13 @@ fn detection_allocates_for_the_first_image_only() {
     let backgrounds = [Background::Gaussian, Background::Blocks];
     let thresholds = [Threshold::Fixed, Threshold::Auto];
     for (background, threshold) in backgrounds.into_iter().flat_map(|b| thresholds.map(|t| (b, t))) {
-        for (centre, kernel_px) in
-            [(Centre::Binary, 1), (Centre::Grey, 1), (Centre::Band, 1), (Centre::Grey, 5), (Centre::Fit, 1)]
-        {
+        for (centre, kernel_px) in [
+            (Centre::Binary, 1),
+            (Centre::Grey, 1),
+            (Centre::SoftThreshold, 1),
+            (Centre::Grey, 5),
+            (Centre::Fit, 1),
+        ] {
             let mut params = Params::default().detect;
             (params.background, params.threshold, params.centre) = (background, threshold, centre);
             (params.morphology_kernel_px, params.min_area_px2, params.smooth_kernel_px) = (kernel_px, 1, 1);
@@ -100,7 +104,7 @@ fn the_search_in_windows_allocates_nothing_once_there_is_room() {
     let mut detector = Detector::new(&Params::preset("balanced").unwrap().detect);
     let (kind, mut found) = (detector.size_for_windows(58.0, 17.6).unwrap(), Found::default());
     assert!(allocations(|| detector.reserve_windows(truth.len(), &kind, (640, 480), &mut found)) > 0);
-    let mut search = |image: &[u8]| detector.run_windows(view(image, 640), &truth, (&kind, 8.8), &mut found);
+    let mut search = |image: &[u8]| detector.run_windows(view(image, 640), &truth, 8.8, &kind, &mut found);
     assert_eq!(allocations(|| [&noise, &few, &noise].into_iter().for_each(|i| search(i))), 0);
 }
 

@@ -189,7 +189,7 @@ impl Detector {
         Ok((Markers::new(py, found.markers)?, sights))
     }
 
-    /// Mask of the pixels that differ enough from their surround, by ``detect.threshold`` and
+    /// Mask of the pixels that differ enough from their background, by ``detect.threshold`` and
     /// ``detect.polarity``, before blobs are filtered by size and shape.
     ///
     /// Parameters

@@ -138,7 +138,7 @@ fn covariances_are_calibrated_on_presses() {
 fn covariances_of_the_band_follow_the_noise() {
     for condition in &CONDITIONS {
         let pictures: Vec<_> = (1..=3).flat_map(|seed| condition.pictures(seed)).collect();
-        let (nees, rms_px, count) = errors(Centre::Band, &pictures);
+        let (nees, rms_px, count) = errors(Centre::SoftThreshold, &pictures);
         println!("{:24} rms {rms_px:.4} px, normalised squared errors {nees:.3}", condition.name);
         let edge_pixels = 12.0 * 25.0 * pictures.len() as f64;
         let band = 2.6 * (1.0 / (0.5 * count) + 1.0 / edge_pixels).sqrt() + 0.03;

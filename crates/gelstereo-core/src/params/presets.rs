@@ -33,7 +33,11 @@ impl Params {
     fn fast() -> Self {
         let balanced = Self::balanced();
         Self {
-            detect: DetectParams { centre: Centre::Band, find_at: FindAt::HalfSize, ..balanced.detect },
+            detect: DetectParams {
+                centre: Centre::SoftThreshold,
+                find_at: FindAt::HalfSize,
+                ..balanced.detect
+            },
             register: RegisterParams { method: RegisterMethod::SurfaceClose, ..balanced.register },
             ..balanced
         }

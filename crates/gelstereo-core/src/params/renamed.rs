@@ -17,9 +17,10 @@ const SETTINGS: [(&str, &str); 13] = [
     ("register.step_tolerance", "register.advanced.step_tolerance"),
 ];
 
-/// Methods that were dropped, by setting, and the one that is better in every respect.
-const METHODS: [(&str, &str, &str); 4] = [
+/// Methods that were renamed, or dropped for one that is better, by setting.
+const METHODS: [(&str, &str, &str); 5] = [
     ("detect.background", "box", "blocks"),
+    ("detect.centre", "band", "soft_threshold"),
     ("detect.centre", "matched", "fit"),
     ("label.method", "temporal", "lattice"),
     ("register.method", "icp_plane", "surface_close"),
@@ -31,7 +32,7 @@ pub fn renamed_setting(path: &str) -> Option<&'static str> {
     SETTINGS.iter().find(|(former, _)| *former == path).map(|(_, present)| *present)
 }
 
-/// The method that replaces one that was dropped from a setting.
+/// The present name of a method, or the one that replaces it.
 #[must_use]
 pub fn replaced_method(path: &str, method: &str) -> Option<&'static str> {
     METHODS

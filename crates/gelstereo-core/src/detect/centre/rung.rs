@@ -13,7 +13,7 @@ use alloc::boxed::Box;
 pub(in crate::detect) enum Rung {
     Binary(BinaryCentroid),
     Grey(WeightedCentroid),
-    Band(SoftThreshold),
+    SoftThreshold(SoftThreshold),
     Fit(Box<DiscFit>),
 }
 
@@ -23,7 +23,7 @@ impl Rung {
         match params.centre {
             Centre::Binary => Self::Binary(BinaryCentroid::new(params)),
             Centre::Grey => Self::Grey(WeightedCentroid::new(params)),
-            Centre::Band => Self::Band(SoftThreshold::new(params)),
+            Centre::SoftThreshold => Self::SoftThreshold(SoftThreshold::new(params)),
             Centre::Fit => Self::Fit(Box::new(DiscFit::new(params))),
         }
     }
@@ -32,7 +32,7 @@ impl Rung {
         match self {
             Self::Binary(rung) => rung,
             Self::Grey(rung) => rung,
-            Self::Band(rung) => rung,
+            Self::SoftThreshold(rung) => rung,
             Self::Fit(rung) => rung.as_mut(),
         }
     }

@@ -1,7 +1,7 @@
 //! Segmentation: pixels that differ from the background, as connected components.
 
 use super::background::Difference;
-use super::components::{Components, Most};
+use super::components::{Components, Limits};
 use super::morphology::Closing;
 use crate::detect::error::DetectError;
 use crate::image::GrayView;
@@ -47,7 +47,7 @@ impl Segmentation {
             self.difference.survey(image);
             self.mask.resize(width, 0);
         }
-        let most = Most::of(width, height);
+        let max = Limits::of(width, height);
         self.components.start(width, height);
         for y in 0..height {
             if self.closes {
@@ -58,14 +58,14 @@ impl Segmentation {
             }
             // Rows below could still join components, but an image of markers never comes near the limit.
             let counts =
-                [(self.components.all_runs().len(), most.runs), (self.components.pieces(), most.components)];
-            if let Some((found, most)) = counts.into_iter().find(|(found, most)| found > most) {
-                return Err(DetectError::TooMany { found, most });
+                [(self.components.all_runs().len(), max.runs), (self.components.count(), max.components)];
+            if let Some((found, max)) = counts.into_iter().find(|(found, max)| found > max) {
+                return Err(DetectError::TooMany { found, max });
             }
         }
         self.components.finish();
         let found = self.components.kept();
-        if found > most.kept { Err(DetectError::TooMany { found, most: most.kept }) } else { Ok(()) }
+        if found > max.kept { Err(DetectError::TooMany { found, max: max.kept }) } else { Ok(()) }
     }
 
     /// [`Thresholds::feels_noise`](super::threshold::Thresholds::feels_noise) of the last image.

@@ -61,7 +61,7 @@ const PARAMETERS: f64 = 9.0;
 pub(super) struct Fitter {
     pub given_blur_px: Option<f64>,
     step_px: f64,
-    most_side_px: usize,
+    max_side_px: usize,
     pub edge: Edge,
     pub window: Window,
     pub noise: Noise,
@@ -90,11 +90,11 @@ impl Fitter {
     pub fn new(params: &DetectParams) -> Self {
         // Twice the reach beyond the longer axis of the largest marker, which is twice the shorter axis.
         let longest_px = sqrt(8.0 * FRAC_1_PI * f64::from(params.max_area_px2));
-        let most_side_px = (longest_px + 4.0 * REACH_PX) as usize;
+        let max_side_px = (longest_px + 4.0 * REACH_PX) as usize;
         Self {
             given_blur_px: params.fit.blur_px,
             step_px: params.fit.step_px,
-            most_side_px,
+            max_side_px,
             edge: Edge::new(),
             window: Window::default(),
             noise: Noise::default(),
@@ -306,10 +306,10 @@ impl Fitter {
 
     /// Loads the pixels within a radius; returns their number if sufficient.
     pub(super) fn load(&mut self, image: GrayView<'_>, centre_px: DVec2, radius_px: f64) -> Option<usize> {
-        if !(2.0 * radius_px + 1.0 <= self.most_side_px as f64 && centre_px.is_finite()) {
+        if !(2.0 * radius_px + 1.0 <= self.max_side_px as f64 && centre_px.is_finite()) {
             return None;
         }
-        self.window.reserve(self.most_side_px);
+        self.window.reserve(self.max_side_px);
         Some(self.window.load(image, centre_px, radius_px)).filter(|&pixels| pixels >= 20)
     }
 

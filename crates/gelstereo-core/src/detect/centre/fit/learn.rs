@@ -71,10 +71,10 @@ impl Learner {
         }
     }
 
-    /// Reserves memory for images of at most `most` markers.
-    pub fn reserve(&mut self, most: usize) {
+    /// Reserves memory for images of at most `max` markers.
+    pub fn reserve(&mut self, max: usize) {
         self.centres_px.clear();
-        self.centres_px.reserve(most);
+        self.centres_px.reserve(max);
     }
 
     /// Learns noise and blur of an image from its gel and some of its markers.
@@ -134,10 +134,10 @@ impl Learner {
         (xx * yy > xy * xy).then_some([[xx, xy], [xy, yy]])
     }
 
-    fn take_samples(&mut self, fit: &Fitter, starts: &[Start], most: usize) {
+    fn take_samples(&mut self, fit: &Fitter, starts: &[Start], max: usize) {
         self.samples.clear();
         self.samples.reserve(MORE_SAMPLES);
-        let count = starts.len().min(most);
+        let count = starts.len().min(max);
         for k in 0..count {
             let start = starts[k * starts.len() / count];
             let Some(outline) = Outline::new(DVec2::ZERO, &start.spread_px2) else { continue };

@@ -25,7 +25,7 @@ use super::covered;
 use super::weighted::WeightedCentroid;
 use super::{CentreRung, Components, MaskedMarkers};
 use crate::detect::markers::Markers;
-use crate::detect::mask::components::{Blob, Most, Run};
+use crate::detect::mask::components::{Blob, Limits, Run};
 use crate::detect::mask::segmentation::MIN_NEIGHBOUR_PX2;
 use crate::detect::window::size::MarkerSize;
 use crate::image::GrayView;
@@ -105,13 +105,13 @@ impl DiscFit {
         self.fitter.run(image, start)
     }
 
-    /// Clears the markers of the last image and reserves memory for `most`.
-    fn clear(&mut self, most: usize) {
+    /// Clears the markers of the last image and reserves memory for `max`.
+    fn clear(&mut self, max: usize) {
         self.starts.clear();
-        self.starts.reserve(most);
+        self.starts.reserve(max);
         self.unfitted.clear();
-        self.unfitted.reserve(most);
-        self.learner.reserve(most);
+        self.unfitted.reserve(max);
+        self.learner.reserve(max);
     }
 
     /// Adds a marker with its approximate centre and spread ([`Blob::spread_px2`]).
@@ -157,10 +157,10 @@ impl DiscFit {
             markers.covariance_px2[index] = [[xx + hidden, xy], [xy, yy + hidden]];
             return true;
         }
-        let least = unfitted_variance_px2(&self.fitter, radius_px);
+        let min = unfitted_variance_px2(&self.fitter, radius_px);
         let covered = covered::unfitted_px2(image, markers, index);
         let [[xx, _], [_, yy]] = &mut markers.covariance_px2[index];
-        (*xx, *yy) = (xx.max(least) + covered, yy.max(least) + covered);
+        (*xx, *yy) = (xx.max(min) + covered, yy.max(min) + covered);
         false
     }
 
@@ -170,10 +170,10 @@ impl DiscFit {
         // A neighbour farther away takes no pixels.
         let far_px = 2.0 * widest + REACH_PX + 4.0 * FIRST_BLUR_PX;
         centres_px.clear();
-        let most = Most::of(image.width(), image.height()).kept;
-        centres_px.reserve(most);
+        let max = Limits::of(image.width(), image.height()).kept;
+        centres_px.reserve(max);
         centres_px.extend(others_px);
-        grid.reserve(most, (image.width(), image.height()), MIN_FAR_PX);
+        grid.reserve(max, (image.width(), image.height()), MIN_FAR_PX);
         grid.build(centres_px, far_px);
         for start in starts {
             let (at, own_px) = (start.centre_px, 0.5 * start.radius_px());
@@ -201,16 +201,11 @@ impl CentreRung for DiscFit {
         }
     }
 
-    fn centre_piece(&mut self, image: GrayView<'_>, blob: &Blob, runs: &[Run]) -> DVec2 {
+    fn centre_component(&mut self, image: GrayView<'_>, blob: &Blob, runs: &[Run]) -> DVec2 {
         self.weighted.run(image, blob, runs.iter())
     }
 
-    fn refine_masked(
-        &mut self,
-        found: &MaskedMarkers<'_>,
-        _: &mut dyn FnMut(usize) -> Option<DVec2>,
-        out: &mut Markers,
-    ) {
+    fn refine_masked(&mut self, found: &MaskedMarkers<'_>, out: &mut Markers) {
         self.clear(found.max_markers);
         found.markers.iter().for_each(|m| self.add(m.centre_px, m.spread_px2));
         let others_px = found.markers.iter().map(|m| m.centre_px);

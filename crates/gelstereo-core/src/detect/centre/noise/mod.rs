@@ -239,7 +239,7 @@ impl NoiseMeter {
             }
         };
         if let Some(region) = Region::around(centres_px, &mut self.scratch) {
-            let least_px = clearance_px.min(MIN_CLEARANCE_PX);
+            let min_px = clearance_px.min(MIN_CLEARANCE_PX);
             let columns = |y| region.columns(y, image.width());
             let some = self.take_rows(image, columns, Rows { every, clearance_px }, &cover);
             if some.pairs >= PLENTY_PAIRS {
@@ -249,7 +249,7 @@ impl NoiseMeter {
             // too few.
             let expected = every as u64 * some.pairs;
             for (clearance_px, is_worth_it, enough) in
-                [(clearance_px, expected >= PLENTY_PAIRS, PLENTY_PAIRS), (least_px, true, ENOUGH_PAIRS)]
+                [(clearance_px, expected >= PLENTY_PAIRS, PLENTY_PAIRS), (min_px, true, ENOUGH_PAIRS)]
             {
                 if is_worth_it {
                     let all = self.take_rows(image, columns, Rows { every: 1, clearance_px }, &cover);
@@ -316,9 +316,9 @@ impl NoiseMeter {
         };
         let usual = middle(&|piece| f64::from(piece.entries[entry]))?;
         let off = |piece: &Piece| abs(f64::from(piece.entries[entry]) - usual);
-        let most = MAX_OFF * middle(&off)?;
+        let max = MAX_OFF * middle(&off)?;
         let (mut sum, mut pairs) = (0.0, 0.0);
-        for piece in pieces.iter().filter(|piece| off(piece) <= most) {
+        for piece in pieces.iter().filter(|piece| off(piece) <= max) {
             sum += f64::from(piece.pairs) * f64::from(piece.entries[entry]);
             pairs += f64::from(piece.pairs);
         }

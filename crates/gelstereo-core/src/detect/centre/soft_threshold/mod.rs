@@ -1,4 +1,4 @@
-//! Variances of the soft-threshold centroids of [`Centre::Band`](crate::params::Centre::Band).
+//! Variances of the soft-threshold centroids of [`Centre::SoftThreshold`](crate::params::Centre::SoftThreshold).
 //!
 //! Such a centroid is a weighted sum of the pixels at the marker's edge and in the window's corners, with
 //! known weights. Its variance is that of the sum in the image's noise and grain. White noise counts
@@ -197,8 +197,8 @@ impl SoftThreshold {
         noise.learn(image, &classifier, &measured, &out.centres_px, bands);
         let markers = out.covariance_px2.iter_mut().zip(bands).zip(out.centres_px.iter().zip(&out.area_px2));
         for ((covariance, &mut band), (&centre_px, &area_px2)) in markers {
-            let areas_px2 = (area_px2, size.usual_area_px2());
-            let covered = covered::without_band_px2(band, image, centre_px, areas_px2);
+            let usual_px2 = size.usual_area_px2();
+            let covered = covered::without_band_px2(band, image, centre_px, area_px2, usual_px2);
             let variance = noise.variance_px2(band, *variance_px2) + covered;
             *covariance = [[variance, 0.0], [0.0, variance]];
         }
@@ -227,7 +227,7 @@ impl CentreRung for SoftThreshold {
         }
     }
 
-    fn centre_piece(&mut self, image: GrayView<'_>, blob: &Blob, runs: &[Run]) -> DVec2 {
+    fn centre_component(&mut self, image: GrayView<'_>, blob: &Blob, runs: &[Run]) -> DVec2 {
         self.weighted.run(image, blob, runs.iter())
     }
 
