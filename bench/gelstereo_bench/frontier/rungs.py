@@ -50,25 +50,20 @@ RUNGS = (
     ),
     Rung(
         "detect",
-        "blocks + auto + band",
-        {"detect": {"background": "blocks", "threshold": "auto", "centre": "band"}},
+        "blocks + auto + soft threshold",
+        {"detect": {"background": "blocks", "threshold": "auto", "centre": "soft_threshold"}},
     ),
     Rung(
         "detect",
-        "blocks + auto + band at half size",
+        "blocks + auto + soft threshold at half size",
         {
             "detect": {
                 "background": "blocks",
                 "threshold": "auto",
-                "centre": "band",
+                "centre": "soft_threshold",
                 "find_at": "half_size",
             }
         },
-    ),
-    Rung(
-        "detect",
-        "blocks + auto + matched",
-        {"detect": {"background": "blocks", "threshold": "auto", "centre": "matched"}},
     ),
     Rung("detect", "blocks + auto + fit", {"detect": _FIT}),
     Rung("label", "foresight (paper)", {"label": {"method": "foresight"}}, "balanced"),

@@ -37,9 +37,8 @@ fn detection_allocates_for_the_first_image_only() {
         for (centre, kernel_px) in [
             (Centre::Binary, 1),
             (Centre::Grey, 1),
-            (Centre::Band, 1),
+            (Centre::SoftThreshold, 1),
             (Centre::Grey, 5),
-            (Centre::Matched, 1),
             (Centre::Fit, 1),
         ] {
             let mut params = Params::default().detect;
@@ -105,7 +104,7 @@ fn the_search_in_windows_allocates_nothing_once_there_is_room() {
     let mut detector = Detector::new(&Params::preset("balanced").unwrap().detect);
     let (kind, mut found) = (detector.size_for_windows(58.0, 17.6).unwrap(), Found::default());
     assert!(allocations(|| detector.reserve_windows(truth.len(), &kind, (640, 480), &mut found)) > 0);
-    let mut search = |image: &[u8]| detector.run_windows(view(image, 640), &truth, (&kind, 8.8), &mut found);
+    let mut search = |image: &[u8]| detector.run_windows(view(image, 640), &truth, 8.8, &kind, &mut found);
     assert_eq!(allocations(|| [&noise, &few, &noise].into_iter().for_each(|i| search(i))), 0);
 }
 

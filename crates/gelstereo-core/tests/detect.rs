@@ -21,7 +21,7 @@ fn every_rung() -> Vec<DetectParams> {
     let mut rungs = Vec::new();
     for background in [Background::Gaussian, Background::Blocks] {
         for threshold in [Threshold::Fixed, Threshold::Auto] {
-            for centre in [Centre::Binary, Centre::Grey, Centre::Band] {
+            for centre in [Centre::Binary, Centre::Grey, Centre::SoftThreshold] {
                 rungs.push(DetectParams { background, threshold, centre, ..DetectParams::default() });
             }
         }
@@ -42,7 +42,7 @@ fn every_rung_finds_every_dot() {
             // Band: the share of an edge pixel is stretched about 0.4 and cut off, by a variance of 0.021.
             let most = match params.centre {
                 Centre::Binary => 0.13,
-                Centre::Band => 0.065,
+                Centre::SoftThreshold => 0.065,
                 _ => 0.02,
             };
             assert!(rms <= most, "{params:?} noise {noise}: {rms}");
@@ -164,7 +164,7 @@ fn row_30_images_without_contrast_are_refused_by_name() {
         for (width, height) in [(1, 640), (640, 1), (4, 4), (1, 1)] {
             let image: Vec<u8> = (0..width * height).map(|n| (n * 89) as u8).collect();
             let found = detect(&params, &image, width);
-            assert_eq!(found, Err(DetectError::TooSmall { width, height, least: 5 }));
+            assert_eq!(found, Err(DetectError::TooSmall { width, height, min_side_px: 5 }));
         }
         // Contrast, but no marker: not an error.
         let ramp: Vec<u8> = (0..64 * 48).map(|n| (n % 64 * 3) as u8).collect();
@@ -305,10 +305,7 @@ fn row_30_an_image_of_nothing_but_stripes_is_refused_by_name() {
     let image: Vec<u8> = (0..width * height).map(|n| if n % 4 < 2 { 0 } else { 255 }).collect();
     let params = DetectParams::default();
     let error = detect(&params, &image, width).unwrap_err();
-    assert!(
-        matches!(error, DetectError::TooMany { found, most } if found > most && most == 38_400),
-        "{error}"
-    );
+    assert!(matches!(error, DetectError::TooMany { found, max } if found > max && max == 38_400), "{error}");
     assert!(error.to_string().contains("noise"), "{error}");
     // The detector is good for the next image.
     let dots = Dots::new(width, height, paper_lattice()).render();

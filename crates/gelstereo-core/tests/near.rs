@@ -14,8 +14,7 @@ fn rungs() -> Vec<DetectParams> {
     let mut rungs = Vec::new();
     for background in [Background::Gaussian, Background::Blocks] {
         for threshold in [Threshold::Fixed, Threshold::Auto] {
-            for (centre, morphology_kernel_px) in
-                [(Centre::Binary, 1), (Centre::Grey, 1), (Centre::Grey, 3), (Centre::Matched, 1)]
+            for (centre, morphology_kernel_px) in [(Centre::Binary, 1), (Centre::Grey, 1), (Centre::Grey, 3)]
             {
                 let default = DetectParams::default();
                 rungs.push(DetectParams { background, threshold, centre, morphology_kernel_px, ..default });

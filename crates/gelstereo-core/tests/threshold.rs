@@ -67,7 +67,7 @@ fn the_fixed_threshold_misses_faint_dots() {
 }
 
 /// A gel without markers gives none, at any noise, also where the light falls by 90 levels across the image: beside the
-/// border the mirrored surround is off by 14 px of slope, which steeper light would show as a marker.
+/// border the mirrored background is off by 14 px of slope, which steeper light would show as a marker.
 #[test]
 fn a_blank_gel_gives_no_markers() {
     for (seed, noise) in (1..).zip([0.3, 0.7, 1.0, 2.0, 5.0, 18.0, 40.0]) {
@@ -213,16 +213,16 @@ proptest! {
                     of.iter().map(|&v| f64::from(v)).sum::<f64>() / of.len() as f64
                 });
                 let exact = 128.0 * means.sum::<f64>() / ((2 * radius + 1) * (2 * radius + 1)) as f64;
-                let surround = blocks.surround()[by * cols + bx];
+                let background = blocks.background()[by * cols + bx];
                 // Half a last place for each block's mean and for the whole's.
-                prop_assert!((f64::from(surround) - exact).abs() <= 1.0, "{surround} {exact}");
+                prop_assert!((f64::from(background) - exact).abs() <= 1.0, "{background} {exact}");
                 let darkest = u16::from(pixels(bx, by).into_iter().min().unwrap_or(0)) << 7;
-                prop_assert_eq!(depths[by * cols + bx], surround.saturating_sub(darkest));
+                prop_assert_eq!(depths[by * cols + bx], background.saturating_sub(darkest));
             }
         }
     }
 
-    /// Blocks against fixed thresholds: the mask is the comparison of smoothed pixels with their blocks' surrounds.
+    /// Blocks against fixed thresholds: the mask is the comparison of smoothed pixels with their blocks' backgrounds.
     #[test]
     fn the_mask_of_blocks_is_its_definition((image, width) in images(), threshold_levels in 1..60_u8) {
         let params = DetectParams {
@@ -237,8 +237,8 @@ proptest! {
         smooth.chunks(BLOCK_PX * width).for_each(|rows| blocks.push(rows));
         blocks.finish(1);
         for (n, &level) in smooth.iter().enumerate() {
-            let surround = blocks.surround()[n / width / BLOCK_PX * blocks.cols() + n % width / BLOCK_PX];
-            let differs = i32::from(surround) - (i32::from(level) << 7) >= i32::from(threshold_levels) << 7;
+            let background = blocks.background()[n / width / BLOCK_PX * blocks.cols() + n % width / BLOCK_PX];
+            let differs = i32::from(background) - (i32::from(level) << 7) >= i32::from(threshold_levels) << 7;
             prop_assert_eq!(mask[n] == 255, differs);
         }
     }

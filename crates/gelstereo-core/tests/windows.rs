@@ -23,7 +23,7 @@ fn params() -> DetectParams {
 fn windows(params: &DetectParams, image: &[u8], width: usize, at: &[DVec2], reach_px: f64) -> Found {
     let (mut detector, mut found) = (Detector::new(params), Found::default());
     let size = detector.size_for_windows(AREA_PX2, 17.6).unwrap();
-    detector.run_windows(view(image, width), at, (&size, reach_px), &mut found);
+    detector.run_windows(view(image, width), at, reach_px, &size, &mut found);
     assert_eq!(found.sights.len(), at.len());
     found
 }
@@ -55,10 +55,10 @@ fn markers_are_found_in_windows_as_in_the_whole_image() {
     }
 }
 
-/// The step from a window's centre, with the usual radius, errs by a tenth more at most than the step from a component's
-/// mean position, with the component's radius.
+/// The fit from a window's centre, with the usual marker's form, errs by a tenth more at most than the fit from a
+/// component's mean position and spread.
 #[test]
-fn matched_steps_from_windows_are_as_good_as_those_of_the_whole_image() {
+fn fits_from_windows_are_as_good_as_those_of_the_whole_image() {
     let truth = paper_lattice();
     let params = Params::preset("balanced").unwrap().detect;
     let image = Dots { noise: 2.0, seed: 3, ..Dots::new(640, 480, truth.clone()) }.render();
@@ -66,7 +66,7 @@ fn matched_steps_from_windows_are_as_good_as_those_of_the_whole_image() {
     detector.run(view(&image, 640), &mut all).unwrap();
     let size = detector.size_for_windows(AREA_PX2, 17.6).unwrap();
     let expected: Vec<DVec2> = truth.iter().map(|&t| t + DVec2::new(1.3, -0.8)).collect();
-    detector.run_windows(view(&image, 640), &expected, (&size, REACH_PX), &mut found);
+    detector.run_windows(view(&image, 640), &expected, REACH_PX, &size, &mut found);
     assert_eq!((found.markers.centres_px.len(), found.markers.unfitted), (625, all.unfitted));
     let [whole_px, windows_px] = [&all, &found.markers].map(|m| support::errors(&m.centres_px, &truth).0);
     assert!(windows_px <= 1.1 * whole_px, "{windows_px} {whole_px}");

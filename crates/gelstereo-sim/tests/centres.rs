@@ -131,20 +131,6 @@ fn covariances_are_calibrated_on_presses() {
     }
 }
 
-/// As above for the matched step, whose error is at most a tenth more than that of the fit, which it approximates.
-#[test]
-fn matched_steps_are_calibrated_and_nearly_as_good_as_the_fit() {
-    for condition in &CONDITIONS {
-        let pictures: Vec<_> = (1..=3).flat_map(|seed| condition.pictures(seed)).collect();
-        let (nees, rms_px, count) = errors(Centre::Matched, &pictures);
-        println!("{:24} rms {rms_px:.4} px, normalised squared errors {nees:.3}", condition.name);
-        let band = 2.6 / (0.5 * count).sqrt() + 0.03;
-        assert!((nees - 1.0).abs() < band, "{}: {nees}, band {band:.3}", condition.name);
-        let (_, fit_px, _) = errors(Centre::Fit, &pictures);
-        assert!(rms_px < 1.1 * fit_px, "{}: {rms_px} {fit_px}", condition.name);
-    }
-}
-
 /// Contrast-weighted centres of a band do not follow the noise of the image, but their covariance does. It is taken from the
 /// profile of twelve markers in each picture, of which each ring of the edge has some 80 pixels: what their noise adds to what n
 /// errors tell (see above) is the part that as many edge pixels, 25 of each marker, leave of a variance.
@@ -152,7 +138,7 @@ fn matched_steps_are_calibrated_and_nearly_as_good_as_the_fit() {
 fn covariances_of_the_band_follow_the_noise() {
     for condition in &CONDITIONS {
         let pictures: Vec<_> = (1..=3).flat_map(|seed| condition.pictures(seed)).collect();
-        let (nees, rms_px, count) = errors(Centre::Band, &pictures);
+        let (nees, rms_px, count) = errors(Centre::SoftThreshold, &pictures);
         println!("{:24} rms {rms_px:.4} px, normalised squared errors {nees:.3}", condition.name);
         let edge_pixels = 12.0 * 25.0 * pictures.len() as f64;
         let band = 2.6 * (1.0 / (0.5 * count) + 1.0 / edge_pixels).sqrt() + 0.03;

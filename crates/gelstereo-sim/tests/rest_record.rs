@@ -76,12 +76,8 @@ fn a_first_frame_under_a_press_is_measured_as_after_a_rest_frame() {
         for method in [LabelMethod::Lattice, LabelMethod::Foresight] {
             let mut params = Params::preset(preset).unwrap();
             params.label.method = method;
-            // Where windows lie depends on the frame before, and centres on that by a part of their noise; so do the weights
-            // of the matched step, which are kept while they serve.
+            // Where windows lie depends on the frame before, and centres on that by a part of their noise.
             params.detect.search = Search::Whole;
-            if params.detect.centre == Centre::Matched {
-                params.detect.centre = Centre::Band;
-            }
             // The map's fit takes the first frames; points are exact until then, 1 um from the map's at most.
             if params.triangulate.method == TriangulateMethod::Polynomial {
                 params.triangulate.method = TriangulateMethod::Rays;

@@ -63,7 +63,7 @@ pub fn rungs(out: &mut Digests) -> Outcome<()> {
     for rung in every!(Threshold: Fixed Auto) {
         add(format!("threshold/{rung:?}"), &of_dark, &|params| params.detect.threshold = rung)?;
     }
-    for rung in every!(Centre: Binary Grey Band Matched Fit) {
+    for rung in every!(Centre: Binary Grey SoftThreshold Fit) {
         add(format!("centre/{rung:?}"), &of_dark, &|params| params.detect.centre = rung)?;
     }
     for rung in every!(Search: Whole Windows) {
@@ -71,7 +71,7 @@ pub fn rungs(out: &mut Digests) -> Outcome<()> {
     }
     for rung in every!(FindAt: FullSize HalfSize) {
         add(format!("find_at/{rung:?}"), &of_dark, &|params| {
-            params.detect.centre = Centre::Band;
+            params.detect.centre = Centre::SoftThreshold;
             params.detect.find_at = rung;
         })?;
     }

@@ -4,11 +4,11 @@ use super::centre::Rung;
 use super::centre::covered::Glares;
 use super::error::DetectError;
 use super::found::Found;
-use super::markers::{Markers, most_markers};
+use super::markers::{Markers, max_markers};
 use super::mask::segmentation::Segmentation;
 use super::mask::threshold::MIN_LEVELS;
 use super::search::half::{self, HalfSize};
-use super::search::masked::MaskedSearch;
+use super::search::masked::{Masked, MaskedSearch};
 use super::search::whole;
 use super::search::windows::WindowSearch;
 use super::window::size::MarkerSize;
@@ -65,8 +65,8 @@ impl Detector {
         Self { roi_px, ..self }
     }
 
-    /// Discards what was learned from earlier images (the weights of [`Centre::Matched`], the noise of
-    /// [`Centre::Band`]), so that the next result is bit-identical to that of a first image.
+    /// Discards what was learned from earlier images (the usual marker of [`Centre::Fit`], the noise of
+    /// [`Centre::SoftThreshold`]), so that the next result is bit-identical to that of a first image.
     pub fn reset(&mut self) {
         self.rung.get().forget();
     }
@@ -84,18 +84,18 @@ impl Detector {
         let (image, origin_px) = self.part(image)?;
         self.check(image)?;
         self.make_room(image);
-        let most = most_markers(&self.params, self.size_px);
+        let max = max_markers(&self.params, self.size_px);
         // Along the border, at most every second pixel starts a marker.
-        out.reserve(most, most.min(image.width() + image.height()));
+        out.reserve(max, max.min(image.width() + image.height()));
         self.areas_px2.clear();
-        self.areas_px2.reserve(most);
+        self.areas_px2.reserve(max);
         let Self { params, segmentation, half, rung, areas_px2, .. } = self;
         let is_complete = match (half, &mut *rung) {
-            (Some(half), Rung::Band(rung)) => half.run(image, rung, areas_px2, (most, out)),
+            (Some(half), Rung::SoftThreshold(rung)) => half.run(image, rung, areas_px2, max, out),
             _ => false,
         };
         if !is_complete {
-            whole::run(params, image, (segmentation, areas_px2), rung.get(), out)?;
+            whole::run(params, image, segmentation, areas_px2, rung.get(), out)?;
         }
         self.doubt_under_glare(image, out);
         out.shift(origin_px);
@@ -128,8 +128,8 @@ impl Detector {
         self.expected_px.reserve(expected_px.len());
         self.expected_px.extend(expected_px.iter().map(|&at| at - origin_px));
         self.segmentation.mask_all(image);
-        let mask = self.segmentation.mask();
-        self.masked.run((image, mask), self.rung.get(), (&self.expected_px, reach_px), out);
+        let masked = Masked { image, mask: self.segmentation.mask() };
+        self.masked.run(masked, self.rung.get(), &self.expected_px, reach_px, out);
         self.doubt_under_glare(image, &mut out.markers);
         out.markers.shift(origin_px);
         Ok(())
@@ -140,7 +140,7 @@ impl Detector {
     #[must_use]
     pub fn size_for_windows(&self, usual_area_px2: f64, pitch_px: f64) -> Option<MarkerSize> {
         let suits = self.params.threshold == Threshold::Auto
-            && matches!(self.params.centre, Centre::Band | Centre::Matched);
+            && matches!(self.params.centre, Centre::SoftThreshold | Centre::Fit);
         MarkerSize::of(usual_area_px2).filter(|size| suits && size.fits(pitch_px))
     }
 
@@ -163,19 +163,20 @@ impl Detector {
     /// Searches for one marker within `reach_px` of each expected position, in both axes, reading only
     /// windows of the image. `out` is cleared first.
     ///
-    /// Each window has its own gel level and threshold. No marker is assigned twice. A matched filter
-    /// step starts from the soft-threshold centroid, with the weights chosen in the last [`Self::run`].
+    /// Each window has its own gel level and threshold. No marker is assigned twice. A model fit starts from
+    /// the soft-threshold centroid, with what was learned in the last [`Self::run`].
     /// Does not allocate after [`Self::reserve_windows`].
     pub fn run_windows(
         &mut self,
         image: GrayView<'_>,
         expected_px: &[DVec2],
-        (size, reach_px): (&MarkerSize, f64),
+        reach_px: f64,
+        size: &MarkerSize,
         out: &mut Found,
     ) {
         out.clear();
         self.reserve_windows(expected_px.len(), size, (image.width(), image.height()), out);
-        self.windows.run(image, self.rung.get(), (expected_px, reach_px), size, out);
+        self.windows.run(image, self.rung.get(), expected_px, reach_px, size, out);
         self.doubt_under_glare(image, &mut out.markers);
     }
 
@@ -222,9 +223,9 @@ impl Detector {
 
     fn check(&self, image: GrayView<'_>) -> Result<(), DetectError> {
         let (width, height) = (image.width(), image.height());
-        let least = ceil(sqrt(f64::from(self.params.min_area_px2))) as usize + 2;
-        if width.min(height) < least {
-            return Err(DetectError::TooSmall { width, height, least });
+        let min_side_px = ceil(sqrt(f64::from(self.params.min_area_px2))) as usize + 2;
+        if width.min(height) < min_side_px {
+            return Err(DetectError::TooSmall { width, height, min_side_px });
         }
         let threshold_levels = match self.params.threshold {
             Threshold::Fixed => self.params.threshold_levels,

@@ -10,7 +10,7 @@ pub enum DetectError {
         /// Height found, pixels.
         height: usize,
         /// Least side, pixels.
-        least: usize,
+        min_side_px: usize,
     },
     /// The region of interest reaches beyond the image.
     Region {
@@ -35,7 +35,7 @@ pub enum DetectError {
         /// Number found before the search stopped.
         found: usize,
         /// Largest allowed number.
-        most: usize,
+        max: usize,
     },
 }
 
@@ -53,10 +53,10 @@ impl DetectError {
 impl core::fmt::Display for DetectError {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         match *self {
-            Self::TooSmall { width, height, least } => write!(
+            Self::TooSmall { width, height, min_side_px } => write!(
                 f,
                 "the image is {width} x {height} pixels; a marker of detect.min_area_px2 with gel around it needs \
-                 {least} x {least}"
+                 {min_side_px} x {min_side_px}"
             ),
             Self::Region { roi_px: [x, y, columns, rows], width, height } => write!(
                 f,
@@ -66,7 +66,7 @@ impl core::fmt::Display for DetectError {
             Self::Flat { low, high, threshold_levels } => {
                 write!(
                     f,
-                    "all grey levels lie from {low} to {high}, but markers must differ from their surround by \
+                    "all grey levels lie from {low} to {high}, but markers must differ from their background by \
                      {threshold_levels} or more (detect.threshold)"
                 )?;
                 if high < threshold_levels {
@@ -76,9 +76,9 @@ impl core::fmt::Display for DetectError {
                 }
                 Ok(())
             }
-            Self::TooMany { found, most } => write!(
+            Self::TooMany { found, max } => write!(
                 f,
-                "{found} pieces or more differ from their surround, but an image of this size may have {most}: the image is \
+                "{found} components or more differ from their background, but an image of this size may have {max}: the image is \
                  noise, or detect.threshold_levels is too low"
             ),
         }

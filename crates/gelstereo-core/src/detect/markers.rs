@@ -85,7 +85,7 @@ impl Markers {
 /// Dots can be separated from a pitch of about 6 px on, and a square lattice covers at most three
 /// quarters of the image: one marker per [`PIXELS_PER_MARKER`].
 #[must_use]
-pub fn most_markers(params: &DetectParams, size_px: (usize, usize)) -> usize {
+pub fn max_markers(params: &DetectParams, size_px: (usize, usize)) -> usize {
     let pixels = size_px.0 * size_px.1;
     (pixels / params.min_area_px2.max(4) as usize)
         .min((pixels / PIXELS_PER_MARKER).max(1024))

@@ -16,5 +16,5 @@ mod window;
 pub use detector::Detector;
 pub use error::DetectError;
 pub use found::{Found, WindowObservation};
-pub use markers::{CutMarker, MAX_MARKERS, Markers, PIXELS_PER_MARKER, most_markers};
+pub use markers::{CutMarker, MAX_MARKERS, Markers, PIXELS_PER_MARKER, max_markers};
 pub use window::size::MarkerSize;

@@ -4,20 +4,20 @@
 //! input must give the same bits everywhere.
 
 mod exp;
-mod factor;
 pub mod linalg;
 pub mod random;
 pub mod se3;
 pub mod so3;
+mod solve;
 
 pub(crate) use exp::exp_nonpositive;
-pub(crate) use factor::Factor;
 pub use glam::{DMat3, DQuat, DVec2, DVec3};
 pub use libm::{
     acos, asin, asinh, atan, atan2, cbrt, ceil, cos, cosh, erf, erfc, exp, expm1, fabs as abs, floor, hypot,
     j0 as bessel_j0, j1 as bessel_j1, log as ln, log1p, pow, rint as round_even, round, sin, sqrt, tan, tanh,
 };
 pub use se3::Pose;
+pub(crate) use solve::{Factor, solve_definite};
 
 /// Arithmetic mean of the points; the zero vector for an empty slice.
 #[must_use]

@@ -14,7 +14,7 @@ pub enum Polarity {
     Bright,
 }
 
-/// How the surround's brightness is estimated.
+/// How the background's brightness is estimated.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "snake_case"))]
 pub enum Background {
@@ -26,7 +26,7 @@ pub enum Background {
     Blocks,
 }
 
-/// How different from its surround a pixel of a marker must be.
+/// How different from its background a pixel of a marker must be.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "snake_case"))]
 pub enum Threshold {
@@ -48,16 +48,12 @@ pub enum Centre {
     Binary,
     /// Mean position weighted by contrast over the component and its border: about 0.06 px rms.
     Grey,
-    /// The same over a square about the marker, from a fifth to seven tenths of its largest contrast: 0.045 px rms,
+    /// Mean position over a square around the marker, weighted by contrast between a fifth and seven tenths of the largest: 0.045 px rms,
     /// 0.2 µs a marker. Markers that do not lie alone in that square get the `grey` centre.
-    Band,
-    /// One step of a matched template from the mean position: 0.031 px rms, 4 % more than the model fit of the same images,
-    /// with a covariance per marker from the image's noise and grain, at two thirds of the grey centroid's instructions.
-    /// Where it does not serve (beside the border, merged, smeared) the grey centroid does. The first image takes some
-    /// 20 ms more, for its weights are made then.
-    Matched,
-    /// Fit of a blurred ellipse, in the noise and grain of the image: 0.029 px rms, 1.02 times the Cramér-Rao bound
-    /// (simulated, noise 2 levels, paint grain), with a covariance per marker; 35 000 instructions a marker.
+    SoftThreshold,
+    /// Fit of a blurred ellipse in the image's noise and grain: 0.029 px rms, with a covariance for each marker. A step
+    /// with weights computed once an image serves most markers; others get steps of their own. A centroid serves where
+    /// a fit does not converge (beside the border, merged, smeared).
     Fit,
 }
 
@@ -70,7 +66,7 @@ pub enum Search {
     Whole,
     /// As long as the labels are certain: half a pitch around each marker's predicted position, and around places one pitch
     /// outside the lattice. The same frame is searched whole when one of those places shows a marker, when many windows
-    /// show none, or when the labels are not certain. With `threshold` = `auto` and `centre` = `band` or `matched` nothing else
+    /// show none, or when the labels are not certain. With `threshold` = `auto` and `centre` = `soft_threshold` or `fit` nothing else
     /// of the image is read: light and threshold are each window's own, a frame of 625 markers takes a third to a half of
     /// the time, and centres differ from those of the whole search by a part of their noise: rms errors agree within 3 %.
     /// Other rungs take light and threshold from the whole image: same centres, a fifth slower than the whole search.
@@ -84,7 +80,7 @@ pub enum FindAt {
     /// The image's own (the paper).
     #[default]
     FullSize,
-    /// With `centre` = `band`, half of it in each direction, means of 2 x 2 pixels, where that shows clearly all there is: markers of
+    /// With `centre` = `soft_threshold`, half of it in each direction, means of 2 x 2 pixels, where that shows clearly all there is: markers of
     /// 24 px² and more, each alone and away from the border, and specks. Same rms errors within 1 %; 625 markers are found in three
     /// fifths of the instructions at 640 x 480, in half of them at 1280 x 720. Any other image is searched again at its own size, with
     /// the bits of that search and a fifth more instructions, and so is every image with other rungs of `centre` at no cost.
@@ -103,9 +99,9 @@ pub struct FitParams {
     /// image. Valid: 0.3 to 5 px. Default: absent. Set it where the lens was measured, to save the estimate.
     #[cfg_attr(feature = "serde", serde(skip_serializing_if = "Option::is_none"))]
     pub blur_px: Option<f64>,
-    /// A fit has settled when a step moves the centre by less than this; what is left is a fraction of it.
-    /// Valid: 1e-12 to 1 px. Default: `0.02` px. Lower it to compare fits; it costs time and gains nothing in
-    /// noise.
+    /// A fit has converged when a step moves the centre by less than this; what is left is a fraction of it.
+    /// Below 0.01 px every marker gets steps with its own outline, which take three times as long. Valid:
+    /// 1e-12 to 1 px. Default: `0.02` px. Lower it for the least error.
     pub step_px: f64,
 }
 
@@ -155,7 +151,7 @@ pub struct DetectParams {
     /// Whether markers are darker or brighter than the gel. Default: `dark`. Change it for a gel with bright
     /// dots.
     pub polarity: Polarity,
-    /// How the surround's brightness is estimated. Default: `gaussian`. Change it to `blocks` to save time.
+    /// How the background's brightness is estimated. Default: `gaussian`. Change it to `blocks` to save time.
     pub background: Background,
     /// How a component becomes a centre. Default: `binary`. Change it to trade accuracy for time; see
     /// docs/accuracy-vs-time.md.
@@ -163,18 +159,18 @@ pub struct DetectParams {
     /// Where later frames are searched for markers. Default: `whole`. Change it to `windows` to save time.
     pub search: Search,
     /// At which size of the image markers are found. Default: `full_size`. Change it to `half_size` to save
-    /// time with `centre = band`.
+    /// time with `centre = soft_threshold`.
     pub find_at: FindAt,
     /// Side of the Gaussian kernel that removes pixel noise, odd. Valid: 1 to 31 px. Default: `3` px. Raise
     /// it for a noisy camera; 1 smooths nothing.
     pub smooth_kernel_px: usize,
-    /// Side of the kernel that estimates the surround, odd. Valid: 1 to 255 px. Default: `51` px. Change it
+    /// Side of the kernel that estimates the background, odd. Valid: 1 to 255 px. Default: `51` px. Change it
     /// to two or three pitches in the image.
     pub background_kernel_px: usize,
-    /// How different from its surround a pixel of a marker must be. Default: `fixed`. Change it to `auto`
+    /// How different from its background a pixel of a marker must be. Default: `fixed`. Change it to `auto`
     /// where light or contrast vary.
     pub threshold: Threshold,
-    /// A pixel belongs to a marker when it differs from its surround by at least this, if `threshold` is
+    /// A pixel belongs to a marker when it differs from its background by at least this, if `threshold` is
     /// `fixed`. The paper's threshold is 220 on the inverted, saturating difference, that is 255 - 220.
     /// Valid: 1 to 255 grey levels. Default: `35` grey levels. Lower it for faint markers, raise it when
     /// noise passes for markers.

@@ -1,7 +1,7 @@
 //! Settings by name.
 
 use super::{
-    Background, Centre, ContactParams, DetectParams, DiscBias, FindAt, LabelMethod, LabelParams,
+    Background, Centre, ContactParams, DetectParams, DiscBias, FindAt, FitParams, LabelMethod, LabelParams,
     LatticeParams, Motion, Params, RegisterMethod, RegisterParams, Saliency, Search, Threshold, TrackParams,
     TriangulateMethod, TriangulateParams,
 };
@@ -11,7 +11,7 @@ impl Params {
     ///
     /// - `paper`: the paper's pipeline to the letter;
     /// - `fast`: the cheapest rung of every stage that keeps identities safe;
-    /// - `balanced`: what to begin with: as `fast`, with centres by a matched step and the part searched for from many starts;
+    /// - `balanced`: what to begin with: as `fast`, with centres by a model fit and the part searched for from many starts;
     /// - `exact`: the most accurate rung of every stage.
     ///
     /// All but `paper` derive the threshold from the image, check every identity against the lattice, tolerate a fifth of
@@ -33,7 +33,11 @@ impl Params {
     fn fast() -> Self {
         let balanced = Self::balanced();
         Self {
-            detect: DetectParams { centre: Centre::Band, find_at: FindAt::HalfSize, ..balanced.detect },
+            detect: DetectParams {
+                centre: Centre::SoftThreshold,
+                find_at: FindAt::HalfSize,
+                ..balanced.detect
+            },
             register: RegisterParams { method: RegisterMethod::SurfaceClose, ..balanced.register },
             ..balanced
         }
@@ -45,7 +49,7 @@ impl Params {
             detect: DetectParams {
                 background: Background::Blocks,
                 threshold: Threshold::Auto,
-                centre: Centre::Matched,
+                centre: Centre::Fit,
                 search: Search::Windows,
                 centre_sigma_px: 0.04,
                 // 71 x 71 dots in 640 x 480 pixels have pieces of 5; what is a speck beside others the threshold's rung tells.
@@ -63,7 +67,11 @@ impl Params {
     fn exact() -> Self {
         let balanced = Self::balanced();
         Self {
-            detect: DetectParams { centre: Centre::Fit, search: Search::Whole, ..balanced.detect },
+            detect: DetectParams {
+                search: Search::Whole,
+                fit: FitParams { step_px: 0.005, ..balanced.detect.fit },
+                ..balanced.detect
+            },
             triangulate: TriangulateParams {
                 method: TriangulateMethod::Rays,
                 disc_bias: DiscBias::Corrected,

@@ -17,10 +17,12 @@ const SETTINGS: [(&str, &str); 13] = [
     ("register.step_tolerance", "register.advanced.step_tolerance"),
 ];
 
-/// Methods that were dropped, by setting, and the one that is better in every respect.
-const METHODS: [(&str, &str, &str); 6] = [
+/// Methods that were renamed, or dropped for one that is better, by setting.
+const METHODS: [(&str, &str, &str); 8] = [
     ("contact.saliency", "pressure_quick", "pressure"),
     ("detect.background", "box", "blocks"),
+    ("detect.centre", "band", "soft_threshold"),
+    ("detect.centre", "matched", "fit"),
     ("label.method", "temporal", "lattice"),
     ("register.method", "filterreg_plane", "surface_close"),
     ("register.method", "icp_plane", "surface_close"),
@@ -33,7 +35,7 @@ pub fn renamed_setting(path: &str) -> Option<&'static str> {
     SETTINGS.iter().find(|(former, _)| *former == path).map(|(_, present)| *present)
 }
 
-/// The method that replaces one that was dropped from a setting.
+/// The present name of a method, or the one that replaces it.
 #[must_use]
 pub fn replaced_method(path: &str, method: &str) -> Option<&'static str> {
     METHODS

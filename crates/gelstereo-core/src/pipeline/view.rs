@@ -3,8 +3,8 @@
 use super::error::{PipelineError, View};
 use super::frame::{LabelSource, Searched, ViewEvidence};
 use super::rest_record::RestView;
-use super::windows::Windows;
-use crate::detect::{DetectError, Detector, Markers, most_markers};
+use super::windows::{LatticeScale, Windows};
+use crate::detect::{DetectError, Detector, Markers, max_markers};
 use crate::image::GrayView;
 use crate::lattice::{self, LatticeFinder, RestLattice};
 use crate::math::DVec2;
@@ -102,7 +102,7 @@ impl ViewStages {
             LabelMethod::Lattice => checked.predict(tracks),
             LabelMethod::Foresight => tracks.positions_px.as_slice(),
         };
-        let lattice = (self.cols, self.pitch_px);
+        let lattice = LatticeScale { cols: self.cols, pitch_px: self.pitch_px };
         // A failure here also occurs on the whole image, which then reports it.
         if !windows.look(detector, image, predicted_px, lattice, tracks).unwrap_or(false) {
             return false;
@@ -123,7 +123,8 @@ impl ViewStages {
         if params.detect.search == Search::Windows {
             let Self { windows, detector, markers, tracks, .. } = self;
             let size_px = (image.width(), image.height());
-            windows.begin(detector, size_px, (self.cols, self.pitch_px), (markers, tracks));
+            let lattice = LatticeScale { cols: self.cols, pitch_px: self.pitch_px };
+            windows.begin(detector, size_px, lattice, markers, tracks);
             if windows.marker_size.is_none() {
                 self.detect_in_windows(image, params);
             }
@@ -165,7 +166,7 @@ impl ViewStages {
         self.shown.clear();
         self.shown.extend(rest.detection.iter().map(Option::is_some));
         self.resumes = false;
-        let most = most_markers(&params.detect, self.size_px);
+        let most = max_markers(&params.detect, self.size_px);
         match params.label.method {
             LabelMethod::Lattice => self.checked.initialise(rest, &self.markers, most, &mut self.tracks),
             LabelMethod::Foresight => {
@@ -199,7 +200,7 @@ impl ViewStages {
         let rest = RestLattice { rows, cols, positions_px: self.rest_px.clone(), detection, pitch_px };
         // Present positions are known to the gate at best.
         let markers = Markers::at(self.rest_px.clone(), params.track.gate_pitches * pitch_px);
-        let most = most_markers(&params.detect, self.size_px);
+        let most = max_markers(&params.detect, self.size_px);
         if params.label.method != LabelMethod::Lattice {
             self.tracker.initialise(&rest, &markers, &mut self.tracks);
             self.tracker.reserve(self.size_px, most);

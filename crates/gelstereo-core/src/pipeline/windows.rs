@@ -21,6 +21,13 @@ const ONE_MISSING_IN: usize = 200;
 /// such as along a tray's wall, at most one marker in this many of the opposite border may be missing.
 const ONE_UNCLEAR_IN: usize = 4;
 
+/// Columns of a view's lattice, and its pitch in the image.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct LatticeScale {
+    pub cols: usize,
+    pub pitch_px: f64,
+}
+
 /// Windows around the markers, and around sentinels: places one pitch outside the lattice, which should
 /// be empty.
 ///
@@ -38,15 +45,16 @@ pub(super) struct Windows {
 }
 
 impl Windows {
-    /// Starts from the markers of a rest frame of `lattice` (columns, pitch in pixels), and reserves
-    /// memory for later frames.
+    /// Starts from the markers of a rest frame, and reserves memory for later frames.
     pub fn begin(
         &mut self,
         detector: &mut Detector,
         size_px: (usize, usize),
-        (cols, pitch_px): (usize, f64),
-        (markers, tracks): (&Markers, &Tracks),
+        lattice: LatticeScale,
+        markers: &Markers,
+        tracks: &Tracks,
     ) {
+        let LatticeScale { cols, pitch_px } = lattice;
         self.marker_size = detector.size_for_windows(usual_area_px2(markers), pitch_px);
         self.places_px.clear();
         self.places_px.extend_from_slice(&tracks.positions_px);
@@ -67,27 +75,29 @@ impl Windows {
         detector: &mut Detector,
         image: GrayView<'_>,
         predicted_px: &[DVec2],
-        (cols, pitch_px): (usize, f64),
+        lattice: LatticeScale,
         tracks: &Tracks,
     ) -> Result<bool, DetectError> {
+        let LatticeScale { cols, pitch_px } = lattice;
         self.places_px.clear();
         self.places_px.extend_from_slice(predicted_px);
         add_sentinels(predicted_px, cols, &mut self.places_px);
         let reach_px = REACH_PITCHES * pitch_px;
         match &self.marker_size {
             Some(marker_size) => {
-                detector.run_windows(image, &self.places_px, (marker_size, reach_px), &mut self.found)
+                detector.run_windows(image, &self.places_px, reach_px, marker_size, &mut self.found)
             }
             None => detector.run_near(image, &self.places_px, reach_px, &mut self.found)?,
         }
         self.tracks.clone_from(tracks);
-        Ok(self.is_as_expected(tracks, (cols, reach_px), (image.width(), image.height())))
+        Ok(self.is_as_expected(tracks, cols, reach_px, (image.width(), image.height())))
     }
 
     fn is_as_expected(
         &self,
         tracks: &Tracks,
-        (cols, reach_px): (usize, f64),
+        cols: usize,
+        reach_px: f64,
         (width, height): (usize, usize),
     ) -> bool {
         let markers = tracks.state.len();
@@ -224,7 +234,7 @@ mod tests {
             for (moved_cols, expected) in [(0, true), (1, false), (2, false)] {
                 let (windows, tracks) = seen(moved_cols, is_walled);
                 assert_eq!(
-                    windows.is_as_expected(&tracks, (COLS, 1.5), (640, 480)),
+                    windows.is_as_expected(&tracks, COLS, 1.5, (640, 480)),
                     expected,
                     "{moved_cols} {is_walled}"
                 );
@@ -242,7 +252,7 @@ mod tests {
                 windows.places_px[k].y = y_px;
                 windows.found.sights[k] = WindowObservation::Nothing;
             }
-            assert_eq!(windows.is_as_expected(&tracks, (COLS, 1.5), (640, 480)), expected, "{y_px}");
+            assert_eq!(windows.is_as_expected(&tracks, COLS, 1.5, (640, 480)), expected, "{y_px}");
         }
     }
 }

@@ -126,15 +126,16 @@ impl Matching {
         canvas: &mut ExtendedLattice,
         detected_px: &[DVec2],
         before: Before<'_>,
-        (gate_px, sights): (Option<f64>, WindowDetections<'_>),
+        gate_px: Option<f64>,
+        sights: WindowDetections<'_>,
     ) -> bool {
         let disputed_px = DISPUTED * before.pitch_px;
         self.start(detected_px.len());
         self.targets.clear();
         self.targets.extend(canvas.predicted_px.iter().enumerate().map(|(s, &p)| (s as u32, p)));
         match gate_px {
-            Some(gate_px) => self.claim(canvas, detected_px, (gate_px, disputed_px), sights),
-            None => self.claim(canvas, detected_px, (HALF_DIAGONAL * before.pitch_px, 0.0), sights),
+            Some(gate_px) => self.claim(canvas, detected_px, gate_px, disputed_px, sights),
+            None => self.claim(canvas, detected_px, HALF_DIAGONAL * before.pitch_px, 0.0, sights),
         };
         if agree_all(canvas, before) {
             // Adds markers beyond the gate when all have moved by nearly the same amount.
@@ -179,8 +180,8 @@ impl Matching {
                     self.targets.push((site as u32, canvas.predicted_px[site] + mean));
                 }
             }
-            let reach_px = (NEIGHBOURS_AGREE * pitch_px, DISPUTED * pitch_px);
-            if self.claim(canvas, detected_px, reach_px, WindowDetections::default()) {
+            let (reach_px, disputed_px) = (NEIGHBOURS_AGREE * pitch_px, DISPUTED * pitch_px);
+            if self.claim(canvas, detected_px, reach_px, disputed_px, WindowDetections::default()) {
                 self.grow(canvas, detected_px, pitch_px);
                 changed = true;
             }
@@ -204,7 +205,8 @@ impl Matching {
         &mut self,
         canvas: &mut ExtendedLattice,
         detected_px: &[DVec2],
-        (gate_px, disputed_px): (f64, f64),
+        gate_px: f64,
+        disputed_px: f64,
         sights: WindowDetections<'_>,
     ) -> bool {
         let Self { grid, taken, claims, targets, claimants, .. } = self;
@@ -299,7 +301,8 @@ impl Matching {
     /// Matches places next to matched ones, predicted from their residuals, until nothing new is found;
     /// returns whether anything was.
     fn grow(&mut self, canvas: &mut ExtendedLattice, detected_px: &[DVec2], pitch_px: f64) -> bool {
-        let (mut any, reach_px) = (false, (NEIGHBOURS_AGREE * pitch_px, DISPUTED * pitch_px));
+        let (reach_px, disputed_px) = (NEIGHBOURS_AGREE * pitch_px, DISPUTED * pitch_px);
+        let mut any = false;
         loop {
             self.targets.clear();
             for site in (0..canvas.found.len()).filter(|&s| canvas.found[s] == NONE) {
@@ -307,7 +310,7 @@ impl Matching {
                     self.targets.push((site as u32, canvas.predicted_px[site] + around.middle_px));
                 }
             }
-            if !self.claim(canvas, detected_px, reach_px, WindowDetections::default()) {
+            if !self.claim(canvas, detected_px, reach_px, disputed_px, WindowDetections::default()) {
                 return any;
             }
             any = true;

@@ -166,7 +166,7 @@ impl VerifiedTracker {
         let _ = self.predict(out);
         self.matching.load(&detected.centres_px, self.pitch_px);
         for rings in RINGS {
-            if let Some(shift) = self.identify(&detected.centres_px, (rings, sights), out) {
+            if let Some(shift) = self.identify(&detected.centres_px, rings, sights, out) {
                 self.take(detected, shift, out);
                 return Certainty::Certain;
             }
@@ -174,7 +174,7 @@ impl VerifiedTracker {
         // Gel released during uncertain frames looks as at rest.
         if out.stale {
             self.expected_px.clone_from(&self.rest_px);
-            if let Some(shift) = self.identify(&detected.centres_px, (RINGS[1], sights), out) {
+            if let Some(shift) = self.identify(&detected.centres_px, RINGS[1], sights, out) {
                 self.take(detected, shift, out);
                 return Certainty::Certain;
             }
@@ -224,13 +224,14 @@ impl VerifiedTracker {
     fn identify(
         &mut self,
         detected_px: &[DVec2],
-        (rings, sights): (usize, WindowDetections<'_>),
+        rings: usize,
+        sights: WindowDetections<'_>,
         tracks: &Tracks,
     ) -> Option<[isize; 2]> {
         let Self { canvas, matching, pitch_px, .. } = self;
         canvas.lay(&self.expected_px, self.rows, self.cols, rings);
         let gate_px = (rings == RINGS[0]).then_some(self.params.gate_pitches * *pitch_px);
-        let whole = matching.run(canvas, detected_px, before(tracks, *pitch_px), (gate_px, sights));
+        let whole = matching.run(canvas, detected_px, before(tracks, *pitch_px), gate_px, sights);
         // A lattice to which most detections do not belong is rejected.
         let matched = canvas.found.iter().filter(|&&m| m != NONE).count();
         if !whole || MAX_PER_SITE * matched < detected_px.len() {

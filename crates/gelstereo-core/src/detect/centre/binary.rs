@@ -25,7 +25,7 @@ impl CentreRung for BinaryCentroid {
         found.push_means(self.variance_px2, out);
     }
 
-    fn centre_piece(&mut self, _: GrayView<'_>, blob: &Blob, _: &[Run]) -> DVec2 {
+    fn centre_component(&mut self, _: GrayView<'_>, blob: &Blob, _: &[Run]) -> DVec2 {
         blob.mean_px()
     }
 

@@ -93,8 +93,8 @@ impl Glares {
         for ((&centre_px, &area_px2), [[xx, _], [_, yy]]) in places.zip(&mut markers.covariance_px2) {
             let is_near = usual_px2 > 0.0 && self.may_reach(&square(image, centre_px, radius_px));
             if is_near && is_under_glare(image, centre_px, radius_px) {
-                let least = variance_px2(image, centre_px, (f64::from(area_px2), usual_px2));
-                (*xx, *yy) = (xx.max(least), yy.max(least));
+                let min = variance_px2(image, centre_px, f64::from(area_px2), usual_px2);
+                (*xx, *yy) = (xx.max(min), yy.max(min));
             }
         }
     }
@@ -105,7 +105,8 @@ impl Glares {
 pub(in crate::detect) fn variance_px2(
     image: GrayView<'_>,
     centre_px: DVec2,
-    (area_px2, usual_px2): (f64, f64),
+    area_px2: f64,
+    usual_px2: f64,
 ) -> f64 {
     if !(usual_px2 > 0.0) {
         return 0.0;
@@ -124,9 +125,24 @@ pub(in crate::detect) fn variance_px2(
 /// Perspective and a curved gel make areas of uncovered markers vary over the image.
 pub(in crate::detect) fn unfitted_px2(image: GrayView<'_>, markers: &Markers, index: usize) -> f64 {
     let (centre_px, area_px2) = (markers.centres_px[index], markers.area_px2[index]);
-    let (least, most) = areas_around_px2(markers, index);
-    let usual_px2 = area_px2.clamp(least, most);
-    variance_px2(image, centre_px, (f64::from(area_px2), f64::from(usual_px2)))
+    let (min, max) = areas_around_px2(markers, index);
+    let usual_px2 = area_px2.clamp(min, max);
+    variance_px2(image, centre_px, f64::from(area_px2), f64::from(usual_px2))
+}
+
+/// Variance of a coordinate, px², of a listed marker whose model was fitted, if its area differs both from the
+/// usual one and from those of the markers around it: a part is hidden.
+pub(in crate::detect) fn hidden_px2(
+    image: GrayView<'_>,
+    markers: &Markers,
+    index: usize,
+    usual_px2: f64,
+) -> f64 {
+    let is_usual = abs(1.0 - f64::from(markers.area_px2[index]) / usual_px2) <= AREA_SPREAD;
+    if is_usual || is_under_glare(image, markers.centres_px[index], sqrt(usual_px2 * FRAC_1_PI)) {
+        return 0.0;
+    }
+    unfitted_px2(image, markers, index)
 }
 
 /// Range of the areas of the markers nearest to a listed one, without the smallest and largest, since one
@@ -152,7 +168,8 @@ pub(in crate::detect) fn without_band_px2(
     band: u8,
     image: GrayView<'_>,
     centre_px: DVec2,
-    (area_px2, usual_px2): (u32, f64),
+    area_px2: u32,
+    usual_px2: f64,
 ) -> f64 {
-    if band == 0 { variance_px2(image, centre_px, (f64::from(area_px2), usual_px2)) } else { 0.0 }
+    if band == 0 { variance_px2(image, centre_px, f64::from(area_px2), usual_px2) } else { 0.0 }
 }

@@ -4,7 +4,6 @@ mod binary;
 pub(super) mod covered;
 pub mod fit;
 mod influence;
-pub mod matched;
 mod middle;
 pub(super) mod noise;
 mod region;
@@ -76,16 +75,10 @@ pub(super) trait CentreRung {
     fn centre_components(&mut self, found: &mut Components<'_>, out: &mut Markers);
 
     /// Initial centre of a component in a window of the mask.
-    fn centre_piece(&mut self, image: GrayView<'_>, blob: &Blob, runs: &[Run]) -> DVec2;
+    fn centre_component(&mut self, image: GrayView<'_>, blob: &Blob, runs: &[Run]) -> DVec2;
 
-    /// Refines listed markers; `weighted` returns the intensity-weighted centroid of one of them.
-    fn refine_masked(
-        &mut self,
-        _: &MaskedMarkers<'_>,
-        _weighted: &mut dyn FnMut(usize) -> Option<DVec2>,
-        _: &mut Markers,
-    ) {
-    }
+    /// Refines listed markers.
+    fn refine_masked(&mut self, _: &MaskedMarkers<'_>, _: &mut Markers) {}
 
     /// Refines listed markers found by the window classifier; returns whether any may have moved.
     fn refine_windows(&mut self, _: GrayView<'_>, _: &MarkerSize, _: &mut Markers) -> bool {

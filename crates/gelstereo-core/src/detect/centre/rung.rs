@@ -3,7 +3,6 @@
 use super::CentreRung;
 use super::binary::BinaryCentroid;
 use super::fit::DiscFit;
-use super::matched::Matched;
 use super::soft_threshold::SoftThreshold;
 use super::weighted::WeightedCentroid;
 use crate::params::{Centre, DetectParams};
@@ -14,8 +13,7 @@ use alloc::boxed::Box;
 pub(in crate::detect) enum Rung {
     Binary(BinaryCentroid),
     Grey(WeightedCentroid),
-    Band(SoftThreshold),
-    Matched(Box<Matched>),
+    SoftThreshold(SoftThreshold),
     Fit(Box<DiscFit>),
 }
 
@@ -25,8 +23,7 @@ impl Rung {
         match params.centre {
             Centre::Binary => Self::Binary(BinaryCentroid::new(params)),
             Centre::Grey => Self::Grey(WeightedCentroid::new(params)),
-            Centre::Band => Self::Band(SoftThreshold::new(params)),
-            Centre::Matched => Self::Matched(Box::new(Matched::new(params))),
+            Centre::SoftThreshold => Self::SoftThreshold(SoftThreshold::new(params)),
             Centre::Fit => Self::Fit(Box::new(DiscFit::new(params))),
         }
     }
@@ -35,8 +32,7 @@ impl Rung {
         match self {
             Self::Binary(rung) => rung,
             Self::Grey(rung) => rung,
-            Self::Band(rung) => rung,
-            Self::Matched(rung) => rung.as_mut(),
+            Self::SoftThreshold(rung) => rung,
             Self::Fit(rung) => rung.as_mut(),
         }
     }

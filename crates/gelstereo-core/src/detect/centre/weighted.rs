@@ -55,16 +55,16 @@ impl WeightedCentroid {
         self.reserve(image.height());
         self.grow(blob, runs.clone());
         let window = Window::new(image, blob, &self.spans);
-        let Some(surround) = window.surround() else {
+        let Some(background) = window.background() else {
             return blob.mean_px();
         };
-        let inside = window.contrast_of(&surround, blob, runs, polarity);
+        let inside = window.contrast_of(&background, blob, runs, polarity);
         let high = inside / i64::from(blob.area_px2);
         let low = high / 8;
         if low >= high {
             return blob.mean_px();
         }
-        let moments = window.moments(&surround, (low, high), polarity);
+        let moments = window.moments(&background, low, high, polarity);
         let Some((weight, moment_u, moment_v)) = moments.filter(|&(weight, ..)| weight > 0) else {
             return blob.mean_px();
         };
@@ -92,7 +92,7 @@ impl CentreRung for WeightedCentroid {
         }
     }
 
-    fn centre_piece(&mut self, image: GrayView<'_>, blob: &Blob, runs: &[Run]) -> DVec2 {
+    fn centre_component(&mut self, image: GrayView<'_>, blob: &Blob, runs: &[Run]) -> DVec2 {
         self.run(image, blob, runs.iter())
     }
 
@@ -156,7 +156,7 @@ impl<'a> Window<'a> {
     /// Sum of the contrasts of a component's own pixels.
     fn contrast_of<'r>(
         &self,
-        surround: &Plane,
+        background: &Plane,
         blob: &Blob,
         runs: impl Iterator<Item = &'r Run>,
         polarity: Polarity,
@@ -168,22 +168,23 @@ impl<'a> Window<'a> {
         }
         let area = i64::from(blob.area_px2);
         let (u, v) = (2 * blob.sum_x as i64 - area * self.ends.0, 2 * blob.sum_y as i64 - area * self.ends.1);
-        let plane = surround.level * area + surround.per_u * u + surround.per_v * v;
+        let plane = background.level * area + background.per_u * u + background.per_v * v;
         sign(polarity) * (plane - (levels << LEVEL_BITS))
     }
 
     /// Sum of all weights, and of the weights times u and times v; `None` if values could overflow.
     fn moments(
         &self,
-        surround: &Plane,
-        (low, high): (i64, i64),
+        background: &Plane,
+        low: i64,
+        high: i64,
         polarity: Polarity,
     ) -> Option<(i64, i64, i64)> {
         let left = self.spans.iter().map(|span| span.0).min()?.max(0);
         let right = self.spans.iter().map(|span| span.1).max()?.min(self.image.width() as i64 - 1);
         let bottom = self.top + self.spans.len() as i64 - 1;
         // A plane is largest in a corner. Half of the range is left for the image's levels.
-        let corner = |x: i64, y: i64| surround.at(self.u(x), self.v(y)).abs() < i64::from(i32::MAX / 2);
+        let corner = |x: i64, y: i64| background.at(self.u(x), self.v(y)).abs() < i64::from(i32::MAX / 2);
         let bounded = [left, right].iter().all(|&x| corner(x, self.top) && corner(x, bottom));
         let (low, high) = (i32::try_from(low).ok()?, i32::try_from(high).ok()?);
         // With column weights below 2^32, all moments stay below 2^63.
@@ -192,10 +193,10 @@ impl<'a> Window<'a> {
             return None;
         }
         let sign = sign(polarity);
-        let (per_x, level) = ((2 * sign * surround.per_u) as i32, (sign as i32) << LEVEL_BITS);
+        let (per_x, level) = ((2 * sign * background.per_u) as i32, (sign as i32) << LEVEL_BITS);
         let (mut weight, mut moment_u, mut moment_v) = (0, 0, 0);
         for (y, first, _, levels) in self.rows() {
-            let mut plane = (sign * surround.at(self.u(first), self.v(y))) as i32;
+            let mut plane = (sign * background.at(self.u(first), self.v(y))) as i32;
             let weighted = summed(levels, |grey| {
                 let contrast = plane.wrapping_sub(level.wrapping_mul(i32::from(grey)));
                 plane = plane.wrapping_add(per_x);
@@ -209,7 +210,7 @@ impl<'a> Window<'a> {
     }
 
     /// Least-squares plane through the outermost pixels.
-    fn surround(&self) -> Option<Plane> {
+    fn background(&self) -> Option<Plane> {
         let bottom = self.top + self.spans.len() as i64 - 1;
         let mut s = [0_i64; 9]; // 1, u, v, uu, uv, vv, g, gu, gv
         for (y, first, last, levels) in self.rows() {

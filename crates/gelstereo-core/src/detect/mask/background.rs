@@ -33,7 +33,7 @@ pub struct Difference {
 #[derive(Clone, Debug)]
 enum Rung {
     /// Both filtered images at full precision, as in the paper.
-    Rows { smooth: GaussianBlur, surround: GaussianBlur, smooth_row: Vec<u16>, surround_row: Vec<u16> },
+    Rows { smooth: GaussianBlur, background: GaussianBlur, smooth_row: Vec<u16>, background_row: Vec<u16> },
     /// Smoothed image against one background level per block.
     Blocks,
 }
@@ -41,7 +41,7 @@ enum Rung {
 #[derive(Clone, Debug, Default)]
 struct Limits {
     below: Vec<u8>,
-    least: Vec<u16>,
+    min: Vec<u16>,
 }
 
 impl Difference {
@@ -56,9 +56,9 @@ impl Difference {
             rung: match params.background {
                 Background::Gaussian => Rung::Rows {
                     smooth: GaussianBlur::new(params.smooth_kernel_px),
-                    surround: GaussianBlur::new(kernel_px),
+                    background: GaussianBlur::new(kernel_px),
                     smooth_row: Vec::new(),
-                    surround_row: Vec::new(),
+                    background_row: Vec::new(),
                 },
                 Background::Blocks => Rung::Blocks,
             },
@@ -96,10 +96,10 @@ impl Difference {
         }
         if matches!(self.rung, Rung::Blocks) {
             self.block_limits.clear();
-            let levels = self.thresholds.levels().iter().zip(self.blocks.surround());
-            self.block_limits.extend(levels.map(|(&least, &surround)| {
-                // A whole level differs by at least `least` if it is below the next whole limit.
-                surround.checked_sub(least).map_or(0, |limit| (limit >> FRACTION_BITS) as u8 + 1)
+            let levels = self.thresholds.levels().iter().zip(self.blocks.background());
+            self.block_limits.extend(levels.map(|(&min, &background)| {
+                // A whole level differs by at least `min` if it is below the next whole limit.
+                background.checked_sub(min).map_or(0, |limit| (limit >> FRACTION_BITS) as u8 + 1)
             }));
         }
     }
@@ -109,17 +109,12 @@ impl Difference {
         &self.thresholds
     }
 
-    /// Image-sized buffer, free for other use until the next [`Self::survey`].
-    pub const fn spare(&mut self) -> &mut Vec<u8> {
-        &mut self.smoothed
-    }
-
     /// Writes 255 where a pixel of row `y` of the prepared image differs by the threshold, else 0. Rows
     /// must be passed in order, from row 0 on.
     pub fn row(&mut self, image: GrayView<'_>, y: usize, mask: &mut [u8]) {
         let width = image.width();
         let levels = self.thresholds.row(y);
-        let Limits { below, least } = &mut self.limits;
+        let Limits { below, min } = &mut self.limits;
         match &mut self.rung {
             Rung::Blocks => {
                 if y.is_multiple_of(BLOCK_PX) {
@@ -128,19 +123,19 @@ impl Difference {
                 }
                 darker(&self.smoothed[y * width..][..width], below, mask);
             }
-            Rung::Rows { smooth, surround, smooth_row, surround_row } => {
+            Rung::Rows { smooth, background, smooth_row, background_row } => {
                 if y.is_multiple_of(BLOCK_PX) {
-                    spread(levels, width, least);
+                    spread(levels, width, min);
                 }
                 smooth_row.resize(width, 0);
-                surround_row.resize(width, 0);
+                background_row.resize(width, 0);
                 smooth.row(image, y, smooth_row);
-                surround.row(image, y, surround_row);
+                background.row(image, y, background_row);
                 let (bright, dark) = match self.polarity {
-                    Polarity::Dark => (surround_row, smooth_row),
-                    Polarity::Bright => (smooth_row, surround_row),
+                    Polarity::Dark => (background_row, smooth_row),
+                    Polarity::Bright => (smooth_row, background_row),
                 };
-                differing(bright, dark, least, mask);
+                differing(bright, dark, min, mask);
             }
         }
     }
@@ -162,8 +157,8 @@ fn darker(levels: &[u8], below: &[u8], mask: &mut [u8]) {
     }
 }
 
-fn differing(bright: &[u16], dark: &[u16], least: &[u16], mask: &mut [u8]) {
-    for (((mask, &bright), &dark), &least) in mask.iter_mut().zip(bright).zip(dark).zip(least) {
-        *mask = if bright.saturating_sub(dark) >= least { u8::MAX } else { 0 };
+fn differing(bright: &[u16], dark: &[u16], min: &[u16], mask: &mut [u8]) {
+    for (((mask, &bright), &dark), &min) in mask.iter_mut().zip(bright).zip(dark).zip(min) {
+        *mask = if bright.saturating_sub(dark) >= min { u8::MAX } else { 0 };
     }
 }

@@ -19,7 +19,7 @@ pub struct Blocks {
     /// Darkest smoothed level of each block.
     darkest: Vec<u8>,
     /// Background (mean of gel and markers) around each block, with [`FRACTION_BITS`].
-    surround: Vec<u16>,
+    background: Vec<u16>,
     columns: Columns,
     boxes: BoxSums,
 }
@@ -59,12 +59,12 @@ impl Blocks {
         } else {
             self.mean.extend(totals.map(|total| mean(total, (BLOCK_PX * height) as u32)));
         }
-        let least = |levels: &[u8]| levels.iter().fold(u8::MAX, |low, &level| low.min(level));
-        self.darkest.extend(whole_darkest.iter().map(|levels| least(levels)));
+        let min = |levels: &[u8]| levels.iter().fold(u8::MAX, |low, &level| low.min(level));
+        self.darkest.extend(whole_darkest.iter().map(|levels| min(levels)));
         if !last_sum.is_empty() {
             let total = last_sum.iter().map(|&s| u32::from(s)).sum();
             self.mean.push(mean(total, (last_sum.len() * height) as u32));
-            self.darkest.push(least(last_darkest));
+            self.darkest.push(min(last_darkest));
         }
     }
 
@@ -73,8 +73,8 @@ impl Blocks {
     pub fn finish(&mut self, radius: usize) {
         let area = (2 * radius as u64 + 1).pow(2);
         let sums = self.boxes.run(&self.mean, u64::from, self.cols, radius);
-        self.surround.clear();
-        self.surround.extend(sums.iter().map(|sum| ((sum + area / 2) / area) as u16));
+        self.background.clear();
+        self.background.extend(sums.iter().map(|sum| ((sum + area / 2) / area) as u16));
     }
 
     /// Blocks per row.
@@ -85,13 +85,13 @@ impl Blocks {
 
     /// Background around each block with [`FRACTION_BITS`], row by row.
     #[must_use]
-    pub fn surround(&self) -> &[u16] {
-        &self.surround
+    pub fn background(&self) -> &[u16] {
+        &self.background
     }
 
     /// Means of the blocks, and their backgrounds, which are replaced beside a wall ([`super::walls`]).
-    pub(in crate::detect) fn means_and_surround_mut(&mut self) -> (&[u16], &mut [u16]) {
-        (&self.mean, &mut self.surround)
+    pub(in crate::detect) fn means_and_background_mut(&mut self) -> (&[u16], &mut [u16]) {
+        (&self.mean, &mut self.background)
     }
 
     /// Mean of each block with [`FRACTION_BITS`], row by row.
@@ -106,8 +106,8 @@ impl Blocks {
 
     /// Contrast of each block's darkest pixel to its background, row by row, in 1 / 2^`bits` grey levels.
     pub fn depths(&self, bits: u32) -> impl Iterator<Item = u16> {
-        self.surround.iter().zip(&self.darkest).map(move |(&surround, &darkest)| {
-            surround.saturating_sub(u16::from(darkest) << FRACTION_BITS) >> (FRACTION_BITS - bits)
+        self.background.iter().zip(&self.darkest).map(move |(&background, &darkest)| {
+            background.saturating_sub(u16::from(darkest) << FRACTION_BITS) >> (FRACTION_BITS - bits)
         })
     }
 

@@ -59,22 +59,22 @@ pub struct Components {
     runs: Vec<Run>,
     blobs: Vec<Blob>,
     /// Components with fewer pixels are left out.
-    least_px2: u32,
+    min_px2: u32,
     /// Number of components of at least that area, and the limit on how many of them are listed.
     kept: usize,
-    most_kept: usize,
+    max_kept: usize,
     /// Rows pushed.
     rows: u16,
     /// First run of the last row pushed.
     above: usize,
     /// Components of the rows pushed.
-    pieces: usize,
+    count: usize,
 }
 
 /// Limits on runs and components of an image of markers. Memory is reserved for these, not for every
 /// second pixel. Images up to 128 x 128 cannot exceed them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Most {
+pub struct Limits {
     /// Runs: one per 8 pixels; 65536 from half a megapixel on; one per 16 pixels from one megapixel on.
     /// Runs are longer in images of higher resolution.
     pub runs: usize,
@@ -84,7 +84,7 @@ pub struct Most {
     pub kept: usize,
 }
 
-impl Most {
+impl Limits {
     /// Limits of an image of this size.
     #[must_use]
     pub fn of(width: usize, height: usize) -> Self {
@@ -104,18 +104,18 @@ impl Default for Components {
 }
 
 impl Components {
-    /// Leaves out components of fewer than `least_px2` pixels, so that noise specks use no memory.
+    /// Leaves out components of fewer than `min_px2` pixels, so that noise specks use no memory.
     #[must_use]
-    pub const fn keeping(least_px2: u32) -> Self {
+    pub const fn keeping(min_px2: u32) -> Self {
         Self {
             runs: Vec::new(),
             blobs: Vec::new(),
-            least_px2,
+            min_px2,
             kept: 0,
-            most_kept: 0,
+            max_kept: 0,
             rows: 0,
             above: 0,
-            pieces: 0,
+            count: 0,
         }
     }
 
@@ -123,21 +123,21 @@ impl Components {
     /// number.
     pub fn run(&mut self, mask: GrayView<'_>) -> &[Blob] {
         self.start(mask.width(), mask.height());
-        self.most_kept = usize::MAX;
+        self.max_kept = usize::MAX;
         (0..mask.height()).for_each(|y| self.push(mask.row(y)));
         self.finish()
     }
 
-    /// Starts a mask of this size. Scratch is reserved for [`Most`] runs and components, and grows for more.
+    /// Starts a mask of this size. Scratch is reserved for [`Limits`] runs and components, and grows for more.
     pub(in crate::detect) fn start(&mut self, width: usize, height: usize) {
-        let most = Most::of(width, height);
+        let max = Limits::of(width, height);
         self.runs.clear();
         // The caller checks the limit at the end of each row.
-        self.runs.reserve(most.runs + width.div_ceil(2));
+        self.runs.reserve(max.runs + width.div_ceil(2));
         self.blobs.clear();
-        self.blobs.reserve(most.kept);
-        (self.kept, self.most_kept) = (0, most.kept);
-        (self.rows, self.above, self.pieces) = (0, 0, 0);
+        self.blobs.reserve(max.kept);
+        (self.kept, self.max_kept) = (0, max.kept);
+        (self.rows, self.above, self.count) = (0, 0, 0);
     }
 
     /// Sets the pixels of `row` whose column is covered by a component in any of these image rows. One
@@ -152,8 +152,8 @@ impl Components {
 
     /// Components of the rows so far; later rows may join some.
     #[must_use]
-    pub const fn pieces(&self) -> usize {
-        self.pieces
+    pub const fn count(&self) -> usize {
+        self.count
     }
 
     /// Adds the next row, bytes of 0 or 255.
@@ -197,18 +197,18 @@ impl Components {
 
     /// Opens the blob of a component whose first run this is.
     fn open(&mut self, area_px2: u32) -> u32 {
-        if area_px2 < self.least_px2 {
+        if area_px2 < self.min_px2 {
             return NO_BLOB;
         }
         self.kept += 1;
-        if self.kept > self.most_kept {
+        if self.kept > self.max_kept {
             return NO_BLOB;
         }
         self.blobs.push(Blob::EMPTY);
         self.blobs.len() as u32 - 1
     }
 
-    /// Components of the last mask that are large enough; those beyond [`Most::kept`] are counted only.
+    /// Components of the last mask that are large enough; those beyond [`Limits::kept`] are counted only.
     #[must_use]
     pub const fn kept(&self) -> usize {
         self.kept
@@ -268,7 +268,7 @@ impl Components {
     fn close(&mut self, y: u16, start: u16, end: u16) {
         let parent = self.runs.len() as u32;
         self.runs.push(Run { y, start, end, parent, next: 0 });
-        self.pieces += 1;
+        self.count += 1;
     }
 
     /// Joins the runs of one row with those of the row above that touch them (8-connectivity).
@@ -279,7 +279,7 @@ impl Components {
             if a.start <= b.end && b.start <= a.end {
                 let (a, b) = (self.root(i as u32), self.root(j as u32));
                 self.runs[a.max(b) as usize].parent = a.min(b);
-                self.pieces -= usize::from(a != b);
+                self.count -= usize::from(a != b);
             }
             if a.end < b.end {
                 i += 1;

@@ -1,7 +1,7 @@
 //! Segmentation: pixels that differ from the background, as connected components.
 
 use super::background::Difference;
-use super::components::{Components, Most};
+use super::components::{Components, Limits};
 use super::morphology::Closing;
 use crate::detect::error::DetectError;
 use crate::image::GrayView;
@@ -19,8 +19,6 @@ pub(in crate::detect) struct Segmentation {
     /// Whether closing changes anything.
     closes: bool,
     pub components: Components,
-    /// Size of the last image.
-    size_px: (usize, usize),
     /// Whole mask of 0 and 255, or only its last row.
     mask: Vec<u8>,
 }
@@ -33,7 +31,6 @@ impl Segmentation {
             closing: Closing::new(params.morphology_kernel_px),
             closes: params.morphology_kernel_px > 1,
             components: Components::keeping(params.min_area_px2.min(MIN_NEIGHBOUR_PX2)),
-            size_px: (0, 0),
             mask: Vec::new(),
         }
     }
@@ -44,14 +41,13 @@ impl Segmentation {
     /// [`DetectError::TooMany`].
     pub fn run(&mut self, image: GrayView<'_>) -> Result<(), DetectError> {
         let (width, height) = (image.width(), image.height());
-        self.size_px = (width, height);
         if self.closes {
             self.mask_all(image);
         } else {
             self.difference.survey(image);
             self.mask.resize(width, 0);
         }
-        let most = Most::of(width, height);
+        let max = Limits::of(width, height);
         self.components.start(width, height);
         for y in 0..height {
             if self.closes {
@@ -62,14 +58,14 @@ impl Segmentation {
             }
             // Rows below could still join components, but an image of markers never comes near the limit.
             let counts =
-                [(self.components.all_runs().len(), most.runs), (self.components.pieces(), most.components)];
-            if let Some((found, most)) = counts.into_iter().find(|(found, most)| found > most) {
-                return Err(DetectError::TooMany { found, most });
+                [(self.components.all_runs().len(), max.runs), (self.components.count(), max.components)];
+            if let Some((found, max)) = counts.into_iter().find(|(found, max)| found > max) {
+                return Err(DetectError::TooMany { found, max });
             }
         }
         self.components.finish();
         let found = self.components.kept();
-        if found > most.kept { Err(DetectError::TooMany { found, most: most.kept }) } else { Ok(()) }
+        if found > max.kept { Err(DetectError::TooMany { found, max: max.kept }) } else { Ok(()) }
     }
 
     /// [`Thresholds::feels_noise`](super::threshold::Thresholds::feels_noise) of the last image.
@@ -93,28 +89,17 @@ impl Segmentation {
         &self.mask
     }
 
-    /// The components and their mask, in a buffer that is free until the next image.
-    pub fn draw(&mut self) -> (&Components, &[u8]) {
-        let Self { difference, components, size_px, .. } = self;
-        let mask = difference.spare();
-        fill_mask(components, *size_px, 1, mask);
-        (components, mask)
-    }
-
     /// Writes the mask of the components for an image of this size, row by row: 255 where a pixel belongs
     /// to one. Each component pixel covers `scale` x `scale` image pixels.
     pub fn draw_scaled(&self, size_px: (usize, usize), scale: usize, out: &mut Vec<u8>) {
-        fill_mask(&self.components, size_px, scale, out);
-    }
-}
-
-fn fill_mask(components: &Components, (width, height): (usize, usize), scale: usize, out: &mut Vec<u8>) {
-    out.clear();
-    out.resize(width * height, 0);
-    for run in components.all_runs() {
-        for y in run.y as usize * scale..(run.y as usize + 1) * scale {
-            let first = y * width;
-            out[first + run.start as usize * scale..first + run.end as usize * scale].fill(u8::MAX);
+        let (width, height) = size_px;
+        out.clear();
+        out.resize(width * height, 0);
+        for run in self.components.all_runs() {
+            for y in run.y as usize * scale..(run.y as usize + 1) * scale {
+                let first = y * width;
+                out[first + run.start as usize * scale..first + run.end as usize * scale].fill(u8::MAX);
+            }
         }
     }
 }

@@ -127,7 +127,7 @@ impl Thresholds {
         let floor = (NOISE_SIGMAS * noise_levels).max(f64::from(MIN_LEVELS));
         let whole = self.contrasts.take(blocks.depths(DEPTH_BITS));
         if self.hides_markers(blocks, radius, whole) {
-            self.derive_beside_walls(blocks, radius, (whole, floor));
+            self.derive_beside_walls(blocks, radius, whole, floor);
             return;
         }
         self.feels_noise = floor > SHARE * MIN_SHARE_OF_IMAGE * whole;
@@ -138,7 +138,7 @@ impl Thresholds {
 
     /// Whether an image of this contrast may have walls that hide the markers beside them.
     fn hides_markers(&mut self, blocks: &Blocks, radius: usize, whole: f64) -> bool {
-        let span = span_levels(blocks.surround());
+        let span = span_levels(blocks.background());
         radius > 0 && span > UNEVEN * whole && {
             self.walls.look(blocks, radius);
             span > WALL * contrast(self.walls.depths(blocks, DEPTH_BITS))
@@ -146,7 +146,7 @@ impl Thresholds {
     }
 
     /// As [`Self::derive`], where some contrasts may be those of walls.
-    fn derive_beside_walls(&mut self, blocks: &mut Blocks, radius: usize, (with_walls, floor): (f64, f64)) {
+    fn derive_beside_walls(&mut self, blocks: &mut Blocks, radius: usize, with_walls: f64, floor: f64) {
         let Self { cols, walls, contrasts, near, .. } = self;
         near.extend(contrasts.around(*cols, radius + WIDER_BLOCKS));
         let spots = contrasts.take(walls.depths(blocks, DEPTH_BITS));
@@ -155,15 +155,15 @@ impl Thresholds {
         self.levels.clear();
         let unit = f64::from(1_u32 << FRACTION_BITS);
         let spots = contrasts.around(*cols, radius + WIDER_BLOCKS);
-        let (means, surround) = blocks.means_and_surround_mut();
-        let surrounds = surround.iter_mut().enumerate();
-        for ((block, surround), (&near, spots)) in surrounds.zip(near.iter().zip(spots)) {
+        let (means, background) = blocks.means_and_background_mut();
+        let backgrounds = background.iter_mut().enumerate();
+        for ((block, background), (&near, spots)) in backgrounds.zip(near.iter().zip(spots)) {
             let (contrast, is_wall) = (spots.max(MIN_SHARE_OF_IMAGE * whole), near > NOT_MARKERS * spots);
-            let least = f64::from(*surround) + if is_wall { 0.0 } else { MISSING * contrast * unit };
-            let gel = walls.surround(means, block, (*cols, radius), contrast);
-            self.levels.push(match gel.filter(|&gel| f64::from(gel) >= least) {
+            let min = f64::from(*background) + if is_wall { 0.0 } else { MISSING * contrast * unit };
+            let gel = walls.background(means, block, *cols, radius, contrast);
+            self.levels.push(match gel.filter(|&gel| f64::from(gel) >= min) {
                 Some(gel) => {
-                    *surround = gel;
+                    *background = gel;
                     threshold(spots, whole, floor)
                 }
                 // No better background is known: keep the threshold from all contrasts, walls included.
@@ -193,9 +193,9 @@ impl Thresholds {
 }
 
 /// Range from the darkest to the brightest background, grey levels.
-fn span_levels(surround: &[u16]) -> f64 {
+fn span_levels(background: &[u16]) -> f64 {
     let (low, high) =
-        surround.iter().fold((u16::MAX, 0), |(low, high), &level| (low.min(level), high.max(level)));
+        background.iter().fold((u16::MAX, 0), |(low, high), &level| (low.min(level), high.max(level)));
     f64::from(high.saturating_sub(low)) / f64::from(1_u32 << FRACTION_BITS)
 }
 

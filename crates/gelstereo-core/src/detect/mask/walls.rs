@@ -67,21 +67,22 @@ impl Walls {
 
     /// Mean over the blocks within `radius` of one, in rows of `cols`, that belong to the same gel, given
     /// the markers' contrast there in grey levels. `None` if too few do or if it is a reflection.
-    pub fn surround(
+    pub fn background(
         &self,
         means: &[u16],
         block: usize,
-        (cols, radius): (usize, usize),
+        cols: usize,
+        radius: usize,
         contrast: f64,
     ) -> Option<u16> {
         let (x, y) = (block % cols, block / cols);
         let level = self.gel[block].max(means[block]);
-        let most = (SAME_GEL * contrast * f64::from(1_u32 << FRACTION_BITS)) as u16;
+        let max = (SAME_GEL * contrast * f64::from(1_u32 << FRACTION_BITS)) as u16;
         let (columns, rows) =
             (x.saturating_sub(radius)..(x + radius + 1).min(cols), y.saturating_sub(radius));
         let (mut sum, mut count) = (0_u32, 0_u32);
         for row in means.chunks_exact(cols).take(y + radius + 1).skip(rows) {
-            for &mean in row[columns.clone()].iter().filter(|mean| mean.abs_diff(level) <= most) {
+            for &mean in row[columns.clone()].iter().filter(|mean| mean.abs_diff(level) <= max) {
                 sum += u32::from(mean);
                 count += 1;
             }

@@ -6,6 +6,7 @@
 //! shares of the markers' contrast, the same at both resolutions. Otherwise the image is searched at full
 //! resolution from scratch.
 
+use crate::detect::centre::noise::MarkerPixels;
 use crate::detect::centre::soft_threshold::SoftThreshold;
 use crate::detect::markers::Markers;
 use crate::detect::mask::blob_filter::{BlobFilter, area_range_px2};
@@ -63,19 +64,19 @@ impl Halved {
     /// Whether all selected components are specks, or markers that lie entirely in the image.
     fn is_clear(&self, filter: &BlobFilter, params: &DetectParams, counts: impl Fn(&Blob) -> bool) -> bool {
         // Areas of the smallest marker, and of the largest component that is not a marker.
-        let (mut least_px2, mut largest_px2) = (u32::MAX, None);
+        let (mut min_px2, mut largest_px2) = (u32::MAX, None);
         for blob in self.segmentation.components.blobs().iter().filter(|blob| counts(blob)) {
             let share = f64::from(blob.area_px2) / filter.usual_px2;
             if MARKER.contains(&share) && filter.passes_whole(blob) {
-                least_px2 = least_px2.min(blob.area_px2);
+                min_px2 = min_px2.min(blob.area_px2);
             } else {
                 largest_px2 = largest_px2.max(Some(blob.area_px2));
             }
         }
         // A speck must be too small at any resolution, even if the smallest marker were the usual one.
         // The margin covers a disc's pixel count: one less for a marker, two more for a speck.
-        let least_px2 = if least_px2 == u32::MAX { 0 } else { least_px2 };
-        let (speck_px2, _) = area_range_px2(params.threshold, f64::from(least_px2.saturating_sub(1)));
+        let min_px2 = if min_px2 == u32::MAX { 0 } else { min_px2 };
+        let (speck_px2, _) = area_range_px2(params.threshold, f64::from(min_px2.saturating_sub(1)));
         filter.usual_px2 >= MIN_PX2
             && !self.segmentation.feel_noise()
             && largest_px2.is_none_or(|area_px2| area_px2 + 2 < speck_px2)
@@ -95,9 +96,9 @@ pub(in crate::detect) struct HalfSize {
 
 impl HalfSize {
     /// `None` if the settings require full resolution. Only the soft-threshold centroid
-    /// ([`Centre::Band`]) is independent of a component's outline.
+    /// ([`Centre::SoftThreshold`]) is independent of a component's outline.
     pub fn new(params: &DetectParams) -> Option<Self> {
-        let wanted = params.find_at == FindAt::HalfSize && params.centre == Centre::Band;
+        let wanted = params.find_at == FindAt::HalfSize && params.centre == Centre::SoftThreshold;
         let half_kernel = |side_px: usize| (side_px / SCALE) | 1;
         let params = DetectParams {
             smooth_kernel_px: half_kernel(params.smooth_kernel_px),
@@ -140,7 +141,7 @@ impl HalfSize {
             !self.middle.is_clear(&filter, &self.params, is_whole)
         } else {
             // Specks only, or connected markers.
-            components.pieces() > components.blobs().len() || components.blobs().iter().any(goes_through)
+            components.count() > components.blobs().len() || components.blobs().iter().any(goes_through)
         }
     }
 
@@ -151,14 +152,21 @@ impl HalfSize {
         image: GrayView<'_>,
         rung: &mut SoftThreshold,
         areas_px2: &mut Vec<u32>,
-        (max_markers, out): (usize, &mut Markers),
+        max_markers: usize,
+        out: &mut Markers,
     ) -> bool {
         rung.start(image, max_markers);
         let size = self.take_clear(image, rung, areas_px2, out);
         self.is_complete = size.is_some();
         match size {
             Some(size) => {
-                rung.state_variances(image, &size, (&self.whole.segmentation.components, SCALE), out);
+                let components = &self.whole.segmentation.components;
+                rung.state_variances(
+                    image,
+                    &size,
+                    MarkerPixels::Components { components, scale: SCALE },
+                    out,
+                );
             }
             None => out.clear(),
         }

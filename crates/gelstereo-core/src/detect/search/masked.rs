@@ -1,10 +1,9 @@
 //! Markers near expected positions, from windows of the whole image's mask.
 
-use crate::detect::centre::weighted::WeightedCentroid;
 use crate::detect::centre::{CentreRung, MaskedMarker, MaskedMarkers};
 use crate::detect::found::{Found, WindowObservation};
 use crate::detect::mask::blob_filter::{area_range_px2, in_shape, usual_area_px2};
-use crate::detect::window::pieces::Pieces;
+use crate::detect::window::components::WindowComponents;
 use crate::detect::window::roi::Window;
 use crate::image::GrayView;
 use crate::math::DVec2;
@@ -17,16 +16,22 @@ const MAX_CANDIDATES: usize = 4;
 /// Whole components kept, on average per window; usually there is one.
 const MAX_ON_AVERAGE: usize = 2;
 
+/// An image and its mask: 255 at components, row by row.
+#[derive(Clone, Copy)]
+pub(in crate::detect) struct Masked<'a> {
+    pub image: GrayView<'a>,
+    pub mask: &'a [u8],
+}
+
 /// The search and its scratch.
 #[derive(Clone, Debug)]
 pub(in crate::detect) struct MaskedSearch {
     params: DetectParams,
-    weighted: WeightedCentroid,
-    pieces: Pieces,
+    components: WindowComponents,
     /// Whole components in the windows of the positions.
     candidates: Vec<MaskedMarker>,
     areas_px2: Vec<u32>,
-    most_candidates: usize,
+    max_candidates: usize,
 }
 
 impl MaskedSearch {
@@ -34,74 +39,61 @@ impl MaskedSearch {
     pub fn new(params: &DetectParams) -> Self {
         Self {
             params: params.clone(),
-            weighted: WeightedCentroid::new(params),
-            pieces: Pieces::default(),
+            components: WindowComponents::default(),
             candidates: Vec::new(),
             areas_px2: Vec::new(),
-            most_candidates: 0,
+            max_candidates: 0,
         }
     }
 
     fn start(&mut self, positions: usize) {
-        self.pieces.reserve();
-        self.most_candidates = MAX_ON_AVERAGE * positions;
+        self.components.reserve();
+        self.max_candidates = MAX_ON_AVERAGE * positions;
         self.candidates.clear();
-        self.candidates.reserve(self.most_candidates);
+        self.candidates.reserve(self.max_candidates);
         self.areas_px2.clear();
-        self.areas_px2.reserve(self.most_candidates);
+        self.areas_px2.reserve(self.max_candidates);
     }
 
     /// Finds the markers within `reach_px` of the positions in an image with this mask; `out` is empty.
     pub fn run(
         &mut self,
-        (image, mask): (GrayView<'_>, &[u8]),
+        masked: Masked<'_>,
         rung: &mut dyn CentreRung,
-        (expected_px, reach_px): (&[DVec2], f64),
+        expected_px: &[DVec2],
+        reach_px: f64,
         out: &mut Found,
     ) {
+        let Masked { image, mask } = masked;
         self.start(expected_px.len());
         out.markers.reserve(expected_px.len(), 0);
         out.sights.resize(expected_px.len(), WindowObservation::Nothing);
         let size_px = (image.width(), image.height());
         for (position, &at) in expected_px.iter().enumerate() {
             out.sights[position] = match Window::around(at, reach_px, size_px) {
-                Some(window) => self.look((image, mask), rung, position, &window),
+                Some(window) => self.look(masked, rung, position, &window),
                 None => WindowObservation::Unclear,
             };
         }
         self.decide(expected_px, out);
-        let Self { weighted, pieces, candidates, .. } = self;
-        weighted.reserve(image.height());
-        let markers = candidates.as_slice();
-        let found = MaskedMarkers { image, mask, markers, max_markers: expected_px.len() };
-        let mut weighted_centroid = |marker: usize| {
-            let MaskedMarker { position, key, .. } = markers[marker];
-            let window = Window::around(expected_px[position as usize], reach_px, size_px)?;
-            load(pieces, mask, image.width(), &window);
-            while let Some((blob, _)) = pieces.next(&window) {
-                let runs = pieces.runs();
-                if (runs[0].y, runs[0].start) == key {
-                    return Some(weighted.run(image, &blob, runs.iter()));
-                }
-            }
-            None
-        };
-        rung.refine_masked(&found, &mut weighted_centroid, &mut out.markers);
+        let found = MaskedMarkers { image, mask, markers: &self.candidates, max_markers: expected_px.len() };
+        rung.refine_masked(&found, &mut out.markers);
     }
 
     /// Adds the window's whole components to the candidates; `Unclear` if there are other significant ones.
     fn look(
         &mut self,
-        (image, mask): (GrayView<'_>, &[u8]),
+        masked: Masked<'_>,
         rung: &mut dyn CentreRung,
         position: usize,
         window: &Window,
     ) -> WindowObservation {
-        load(&mut self.pieces, mask, image.width(), window);
-        let Self { params, pieces, candidates, most_candidates, .. } = self;
-        let most = (candidates.len() + MAX_CANDIDATES).min(*most_candidates);
+        let Masked { image, mask } = masked;
+        load(&mut self.components, mask, image.width(), window);
+        let Self { params, components, candidates, max_candidates, .. } = self;
+        let max = (candidates.len() + MAX_CANDIDATES).min(*max_candidates);
         let mut sight = WindowObservation::Nothing;
-        while let Some((blob, partial)) = pieces.next(window) {
+        while let Some((blob, partial)) = components.next(window) {
             if blob.area_px2 < params.min_area_px2 {
                 continue;
             }
@@ -109,14 +101,14 @@ impl MaskedSearch {
                 sight = WindowObservation::Unclear;
                 continue;
             }
-            if candidates.len() == most {
+            if candidates.len() == max {
                 return WindowObservation::Several;
             }
-            let runs = pieces.runs();
+            let runs = components.runs();
             candidates.push(MaskedMarker {
                 position: position as u32,
                 key: (runs[0].y, runs[0].start),
-                centre_px: rung.centre_piece(image, &blob, runs),
+                centre_px: rung.centre_component(image, &blob, runs),
                 area_px2: blob.area_px2,
                 spread_px2: blob.spread_px2(runs.iter()),
             });
@@ -129,11 +121,11 @@ impl MaskedSearch {
         let Self { candidates, areas_px2, .. } = self;
         areas_px2.clear();
         areas_px2.extend(candidates.iter().map(|c| c.area_px2));
-        let (least_px2, most_px2) = area_range_px2(self.params.threshold, usual_area_px2(areas_px2));
-        for candidate in candidates.iter().filter(|c| c.area_px2 > most_px2) {
+        let (min_px2, max_px2) = area_range_px2(self.params.threshold, usual_area_px2(areas_px2));
+        for candidate in candidates.iter().filter(|c| c.area_px2 > max_px2) {
             out.sights[candidate.position as usize] = WindowObservation::Unclear;
         }
-        candidates.retain(|c| (least_px2..=most_px2).contains(&c.area_px2));
+        candidates.retain(|c| (min_px2..=max_px2).contains(&c.area_px2));
         // Positions with several candidates get none. Candidates are in the order of the positions.
         let mut previous = None;
         for c in candidates.iter() {
@@ -164,9 +156,9 @@ impl MaskedSearch {
 }
 
 /// Loads a window of a mask of this width.
-fn load(pieces: &mut Pieces, mask: &[u8], width: usize, window: &Window) {
-    pieces.start();
+fn load(components: &mut WindowComponents, mask: &[u8], width: usize, window: &Window) {
+    components.start();
     for y in window.first.1..window.end.1 {
-        pieces.push(&mask[y * width..][window.first.0..window.end.0]);
+        components.push(&mask[y * width..][window.first.0..window.end.0]);
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::detect::centre::{CentreRung, Components};
 use crate::detect::error::DetectError;
-use crate::detect::markers::{Markers, most_markers};
+use crate::detect::markers::{Markers, max_markers};
 use crate::detect::mask::blob_filter::BlobFilter;
 use crate::detect::mask::segmentation::Segmentation;
 use crate::image::GrayView;
@@ -16,16 +16,17 @@ use alloc::vec::Vec;
 pub(in crate::detect) fn run(
     params: &DetectParams,
     image: GrayView<'_>,
-    (segmentation, areas_px2): (&mut Segmentation, &mut Vec<u32>),
+    segmentation: &mut Segmentation,
+    areas_px2: &mut Vec<u32>,
     rung: &mut dyn CentreRung,
     out: &mut Markers,
 ) -> Result<(), DetectError> {
     segmentation.run(image)?;
     let size_px = (image.width(), image.height());
-    let max_markers = most_markers(params, size_px);
+    let max_markers = max_markers(params, size_px);
     let (filter, found) = BlobFilter::of(segmentation.components.blobs(), params, size_px, areas_px2);
     if found > max_markers {
-        return Err(DetectError::TooMany { found, most: max_markers });
+        return Err(DetectError::TooMany { found, max: max_markers });
     }
     rung.centre_components(&mut Components { image, segmentation, filter: &filter, max_markers }, out);
     let variance_px2 = params.centre_sigma_px * params.centre_sigma_px;

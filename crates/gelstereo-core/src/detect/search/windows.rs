@@ -6,7 +6,7 @@ use crate::detect::centre::weighted::WeightedCentroid;
 use crate::detect::found::{Found, WindowObservation};
 use crate::detect::mask::blob_filter::in_shape;
 use crate::detect::window::classifier::{WindowClass, WindowClassifier, WindowMarker};
-use crate::detect::window::pieces::Pieces;
+use crate::detect::window::components::WindowComponents;
 use crate::detect::window::pixels::flip;
 use crate::detect::window::roi::{self, Window};
 use crate::detect::window::size::MarkerSize;
@@ -41,7 +41,7 @@ pub(in crate::detect) struct WindowSearch {
     params: DetectParams,
     weighted: WeightedCentroid,
     seen: Vec<Seen>,
-    pieces: Pieces,
+    components: WindowComponents,
     mask: Vec<u8>,
     /// Index of the last marker with its centre in each cell, plus 1; there are fewer than 65 535.
     cells: Vec<u16>,
@@ -54,7 +54,7 @@ impl WindowSearch {
             params: params.clone(),
             weighted: WeightedCentroid::new(params),
             seen: Vec::new(),
-            pieces: Pieces::default(),
+            components: WindowComponents::default(),
             mask: Vec::new(),
             cells: Vec::new(),
         }
@@ -64,7 +64,7 @@ impl WindowSearch {
     pub fn reserve(&mut self, positions: usize, size: &MarkerSize, (width, height): (usize, usize)) {
         self.seen.clear();
         self.seen.reserve(positions);
-        self.pieces.reserve();
+        self.components.reserve();
         self.mask.clear();
         self.mask.reserve(roi::MAX_ROI_PX);
         self.weighted.reserve(height);
@@ -81,7 +81,8 @@ impl WindowSearch {
         &mut self,
         image: GrayView<'_>,
         rung: &mut dyn CentreRung,
-        (expected_px, reach_px): (&[DVec2], f64),
+        expected_px: &[DVec2],
+        reach_px: f64,
         size: &MarkerSize,
         out: &mut Found,
     ) {
@@ -120,10 +121,10 @@ impl WindowSearch {
     ) {
         let every = expected_px.len().div_ceil(SAMPLES).max(1);
         let usual = classifier.usual_contrast(image, expected_px.iter().step_by(every));
-        let most_off_px = reach_px - classifier.size().radius_px;
+        let max_off_px = reach_px - classifier.size().radius_px;
         classifier.look_at_all(image, expected_px, usual, |position, glance| {
             let (at_px, position) = (expected_px[position], position as u32);
-            let near = |c: DVec2| (c - at_px).abs().max_element() <= most_off_px;
+            let near = |c: DVec2| (c - at_px).abs().max_element() <= max_off_px;
             out.sights.push(match glance {
                 WindowClass::Marker(marker) if near(marker.centre_px) => {
                     let WindowMarker { centre_px, area_px2, band } = marker;
@@ -132,7 +133,7 @@ impl WindowSearch {
                 }
                 WindowClass::Empty => WindowObservation::Nothing,
                 WindowClass::Marker(_) | WindowClass::Unclear => {
-                    self.look_closer(classifier, image, (position, at_px), reach_px, usual)
+                    self.look_closer(classifier, image, position, at_px, reach_px, usual)
                 }
             });
         });
@@ -143,41 +144,42 @@ impl WindowSearch {
         &mut self,
         classifier: &WindowClassifier<L>,
         image: GrayView<'_>,
-        (position, at_px): (u32, DVec2),
+        position: u32,
+        at_px: DVec2,
         reach_px: f64,
         usual: f64,
     ) -> WindowObservation {
         let Some(window) = Window::around(at_px, reach_px, (image.width(), image.height())) else {
             return WindowObservation::Unclear;
         };
-        let Self { params, weighted, seen, pieces, mask, .. } = self;
+        let Self { params, weighted, seen, components, mask, .. } = self;
         let flip = flip(params.polarity);
         let rows = || (window.first.1..window.end.1).map(|y| &image.row(y)[window.first.0..window.end.0]);
         let Some(below) = outline_level(rows().flatten().map(|&level| level ^ flip), usual) else {
             return WindowObservation::Nothing;
         };
-        pieces.start();
+        components.start();
         for row in rows() {
             mask.clear();
             mask.extend(row.iter().map(|&level| if (level ^ flip) < below { u8::MAX } else { 0 }));
-            pieces.push(mask);
+            components.push(mask);
         }
         let (mut sight, mut found) = (WindowObservation::Nothing, None);
-        let (least_px2, most_px2) = classifier.size().area_px2;
-        while let Some((blob, partial)) = pieces.next(&window) {
+        let (min_px2, max_px2) = classifier.size().area_px2;
+        while let Some((blob, partial)) = components.next(&window) {
             if blob.area_px2 < params.min_area_px2 {
                 continue;
             }
-            if partial || blob.area_px2 > most_px2 || !in_shape(&blob, params.min_fill) {
+            if partial || blob.area_px2 > max_px2 || !in_shape(&blob, params.min_fill) {
                 sight = WindowObservation::Unclear;
-            } else if blob.area_px2 >= least_px2 {
+            } else if blob.area_px2 >= min_px2 {
                 if found.is_some() {
                     return WindowObservation::Several;
                 }
                 let shown =
                     classifier.centre(image, blob.mean_px()).map(|marker| (marker.centre_px, marker.band));
                 let (centre_px, band) =
-                    shown.unwrap_or_else(|| (weighted.run(image, &blob, pieces.runs().iter()), 0));
+                    shown.unwrap_or_else(|| (weighted.run(image, &blob, components.runs().iter()), 0));
                 found = Some(Seen { position, centre_px, area_px2: blob.area_px2, band, alive: true });
             }
         }
@@ -231,8 +233,8 @@ impl WindowSearch {
             }
         }
         for marker in seen.iter().filter(|marker| marker.alive) {
-            let areas_px2 = (marker.area_px2, size.usual_area_px2());
-            let covered = covered::without_band_px2(marker.band, image, marker.centre_px, areas_px2);
+            let Seen { centre_px, area_px2, band, .. } = *marker;
+            let covered = covered::without_band_px2(band, image, centre_px, area_px2, size.usual_area_px2());
             let variance_px2 = rung.window_variance_px2(marker.band) + covered;
             out.sights[marker.position as usize] =
                 WindowObservation::Marker(out.markers.centres_px.len() as u32);
@@ -254,6 +256,6 @@ fn outline_level(levels: impl Iterator<Item = u8> + Clone, usual: f64) -> Option
         f64::from(below) >= below_gel
     })?;
     let darkest = histogram.iter().position(|&count| count > 0)?;
-    let (depth, least) = ((gel - darkest) as f64, MIN_OF_USUAL * usual);
-    (depth >= least && least > 0.0).then_some((gel as f64 - SHARE * depth) as u8)
+    let (depth, min) = ((gel - darkest) as f64, MIN_OF_USUAL * usual);
+    (depth >= min && min > 0.0).then_some((gel as f64 - SHARE * depth) as u8)
 }

@@ -270,16 +270,16 @@ impl<const L: usize> WindowClassifier<L> {
     }
 
     /// Moves the window until its content is centred.
-    fn settle(&self, image: &GrayView<'_>, at_px: DVec2, least_depth: i32, room: &mut Room<L>) -> Settled {
+    fn settle(&self, image: &GrayView<'_>, at_px: DVec2, min_depth: i32, room: &mut Room<L>) -> Settled {
         let mut middle_px = at_px;
         for _ in 0..TRIES {
             let Some(mut window) = self.window(image, middle_px, room) else { return Settled::Lost };
             let (place, gel) = (window.place, self.gel(&window));
-            if gel.depth < least_depth {
+            if gel.depth < min_depth {
                 return Settled::Nothing;
             }
             let (low, band) = gel.band();
-            let outline = window.weigh(&gel, (low, band)).outline(&place, band);
+            let outline = window.weigh(&gel, low, band).outline(&place, band);
             if (outline.centre_px - place.middle_px()).abs().max_element() <= OFF_PX {
                 return Settled::At(gel, outline);
             }
@@ -291,10 +291,10 @@ impl<const L: usize> WindowClassifier<L> {
     fn decide(&self, outline: &Outline) -> WindowClass {
         let disc_px2 = outline.area_px2 * (0.5 * core::f64::consts::FRAC_1_PI);
         let WindowMarker { area_px2, .. } = outline.marker();
-        let (least_px2, most_px2) = self.size.area_px2;
-        if outline.touches || area_px2 > most_px2 || outline.spread_px2 > MAX_SPREAD * disc_px2 + BLUR_PX2 {
+        let (min_px2, max_px2) = self.size.area_px2;
+        if outline.touches || area_px2 > max_px2 || outline.spread_px2 > MAX_SPREAD * disc_px2 + BLUR_PX2 {
             WindowClass::Unclear
-        } else if area_px2 < least_px2 {
+        } else if area_px2 < min_px2 {
             WindowClass::Empty
         } else {
             WindowClass::Marker(outline.marker())

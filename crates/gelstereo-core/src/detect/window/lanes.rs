@@ -25,7 +25,8 @@ pub(super) fn darkest<const L: usize>(rows: &[[u8; L]], on: &[u8; L]) -> u8 {
 pub(super) fn weigh<const L: usize>(
     rows: &mut [[u8; L]],
     limit: &[u8; L],
-    (mut added, less): (i32, i32),
+    mut added: i32,
+    less: i32,
     band: u8,
 ) {
     for row in rows {

@@ -1,8 +1,8 @@
 //! Small windows of an image: their position, classification and components.
 
 pub(super) mod classifier;
+pub(super) mod components;
 mod lanes;
-pub(super) mod pieces;
 pub(super) mod pixels;
 pub(super) mod roi;
 pub(super) mod size;

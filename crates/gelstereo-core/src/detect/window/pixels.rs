@@ -181,7 +181,7 @@ impl<const L: usize> Window<'_, L> {
     }
 
     /// Weights of the window's pixels: contrast to the gel minus `low`, from 0 to `band`.
-    pub(super) fn weigh(&mut self, gel: &Gel, (low, band): (i32, u8)) -> Weights<L> {
+    pub(super) fn weigh(&mut self, gel: &Gel, low: i32, band: u8) -> Weights<L> {
         let (lane, side) = (self.place.lane() as i32, self.place.side as i32);
         // Limit of the brightest row; other rows are lower by whole levels. All values fit 16 bits.
         let brightest = (gel.level - low + ((side * gel.down.abs()) >> (9 - BITS))) as i16;
@@ -191,7 +191,7 @@ impl<const L: usize> Window<'_, L> {
             ((brightest + along) >> BITS).clamp(0, 255) as u8 & self.lanes.inside[x]
         });
         let added = side * gel.down.abs() + (side - 1) * gel.down;
-        weigh(self.rows, &limit, (added, 2 * gel.down), band);
+        weigh(self.rows, &limit, added, 2 * gel.down, band);
         Weights::of(self.rows)
     }
 }
@@ -207,13 +207,13 @@ mod tests {
         let largest = (MAX_WINDOW_PX / 5) as i32;
         for corner in 2..=largest {
             let area = corner * corner;
-            let most = 255 * area;
-            for sum in 0..=8 * most {
+            let max = 255 * area;
+            for sum in 0..=8 * max {
                 assert_eq!(Divisor::of(area).divide(sum), sum / area);
             }
             for far in 1..MAX_WINDOW_PX as i32 {
                 let divisor = 2 * area * far;
-                for difference in -2 * most..=2 * most {
+                for difference in -2 * max..=2 * max {
                     assert_eq!(Divisor::of(divisor).divide(difference << 8), (difference << 8) / divisor);
                 }
             }

@@ -12,10 +12,10 @@
 
 use super::candidate::{Candidate, End};
 use super::halving::insertion_sort;
-use super::normal_system::{Normal, Placement, cholesky};
+use super::normal_system::{Normal, Placement};
 use super::objective::{HOPELESS, Objective, Stage};
 use super::state::Search;
-use crate::math::{DVec3, Pose};
+use crate::math::{DVec3, Pose, solve_definite};
 use crate::register::observe::{dot, halves, stack};
 use crate::register::symmetry::nearest_copy;
 use crate::register::{Observability, copies, held};
@@ -318,7 +318,7 @@ fn smallest_turn(seen: &Observability, (omega, v): (DVec3, DVec3), near_mm: f64)
         })
     });
     let g = core::array::from_fn(|i| if free(i) { dot(&along[i], &weighed(&z)) } else { 0.0 });
-    let shares = cholesky(&h, &g).unwrap_or([0.0; 6]);
+    let shares = solve_definite(&h, &g).unwrap_or([0.0; 6]);
     let left =
         core::array::from_fn(|i| z[i] - (0..6).map(|k| shares[k] * seen.directions[k][i]).sum::<f64>());
     let (omega, v) = halves(&left);

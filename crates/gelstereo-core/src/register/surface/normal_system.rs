@@ -1,6 +1,6 @@
 //! Linear system of a step in six directions (ρ ω, v) about the patch's centroid, in the sensor's axes.
 
-use crate::math::{DMat3, DVec3, Pose, so3, sqrt};
+use crate::math::{DMat3, DVec3, Pose, so3, solve_definite, sqrt};
 
 /// Pose of the part relative to the patch's centroid: a common offset costs no digits.
 #[derive(Clone, Copy, Debug)]
@@ -100,7 +100,7 @@ impl Normal {
 
     /// The step (ω, v), at most `limit_mm` over the patch. The prior keeps H positive definite.
     pub fn solve(&self, radius_mm: f64, limit_mm: f64) -> Option<(DVec3, DVec3)> {
-        let z = cholesky(&self.h, &self.g)?;
+        let z = solve_definite(&self.h, &self.g)?;
         let length = sqrt(z.iter().map(|z| z * z).sum());
         if !length.is_finite() {
             return None;
@@ -117,36 +117,4 @@ pub(super) struct Prior {
     pub guess: Placement,
     pub sigma_rad: f64,
     pub sigma_mm: f64,
-}
-
-/// Solves H z = g by Cholesky decomposition; reads only the upper triangle of H. `None` unless H is
-/// positive definite.
-pub(super) fn cholesky<const N: usize>(h: &[[f64; N]; N], g: &[f64; N]) -> Option<[f64; N]> {
-    // Rows of the upper factor U, H = Uᵀ U.
-    let mut u = *h;
-    let mut z = *g;
-    for i in 0..N {
-        if !(u[i][i] > 0.0) {
-            return None;
-        }
-        let inverse = 1.0 / sqrt(u[i][i]);
-        for k in i..N {
-            u[i][k] *= inverse;
-        }
-        z[i] *= inverse;
-        for j in i + 1..N {
-            let factor = u[i][j];
-            for k in j..N {
-                u[j][k] -= factor * u[i][k];
-            }
-            z[j] -= factor * z[i];
-        }
-    }
-    for i in (0..N).rev() {
-        for k in i + 1..N {
-            z[i] -= u[i][k] * z[k];
-        }
-        z[i] /= u[i][i];
-    }
-    Some(z)
 }

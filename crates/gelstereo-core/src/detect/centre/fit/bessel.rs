@@ -15,8 +15,8 @@ pub(super) struct Bessel(Vec<i16>);
 
 impl Bessel {
     /// Table for arguments up to this magnitude.
-    pub fn up_to(most: f64) -> Self {
-        let last = (most * PER_UNIT) as usize + 2;
+    pub fn up_to(max: f64) -> Self {
+        let last = (max * PER_UNIT) as usize + 2;
         Self((0..=last).map(|n| round_even(STEPS * bessel_j1(n as f64 / PER_UNIT)) as i16).collect())
     }
 

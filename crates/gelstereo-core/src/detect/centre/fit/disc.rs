@@ -51,15 +51,14 @@ impl Outline {
     }
 }
 
-/// Some pixels of a window: positions relative to its middle, levels and model values. Unused lanes are
-/// zero in all sums.
+/// Some pixels of a window: positions relative to its middle, and model values. Unused lanes are zero in
+/// all sums.
 #[derive(Clone, Copy, Debug, Default)]
 struct Cell {
     x: Lanes,
     y: Lanes,
     /// 1 for a pixel.
     one: Lanes,
-    level: Lanes,
     /// Share of the contrast, and its decrease with distance from the outline over blur.
     inside: Lanes,
     density: Lanes,
@@ -146,10 +145,11 @@ pub(super) struct Window {
     spans: Vec<(i64, i64, usize)>,
     /// Total number of pixels.
     pixels: usize,
-    /// Levels of the pixels.
     loaded: Vec<f32>,
     /// Row by row; the positions are shared by all markers of the same extent.
     cells: Vec<Cell>,
+    /// Levels of the pixels, cell by cell.
+    grey: Vec<Lanes>,
     /// Σ over pixels of products of 1, x, y with each other (lower triangle) and with the level.
     ground: Symmetric<3>,
     ground_right: [f64; 3],
@@ -176,6 +176,7 @@ impl Window {
         self.cells.reserve(cells.saturating_sub(self.cells.len()));
         self.spans.reserve(side.saturating_sub(self.spans.len()));
         self.loaded.reserve((cells * WIDTH).saturating_sub(self.loaded.len()));
+        self.grey.reserve(cells.saturating_sub(self.grey.len()));
     }
 
     /// Loads the pixels of `image` within `radius_px` of the pixel at `centre_px`; returns their number.
@@ -193,16 +194,20 @@ impl Window {
             self.loaded.extend(row[..count].iter().map(|&level| f32::from(level)));
         }
         self.loaded.resize(self.cells.len() * WIDTH, 0.0);
-        for (cell, levels) in self.cells.iter_mut().zip(self.loaded.as_chunks().0) {
-            cell.level.0 = *levels;
-        }
-        self.ground_right = self.sums(|cell| [&cell.one, &cell.x, &cell.y].map(|term| (term, &cell.level)));
+        self.grey.clear();
+        self.grey.extend(self.loaded.as_chunks().0.iter().map(|&levels| Lanes(levels)));
+        self.ground_right = self.level_sums(|cell| [&cell.one, &cell.x, &cell.y]);
         self.pixels
     }
 
     /// Sets up the same pixels without a marker in an unbounded image; returns their number.
     pub fn lay(&mut self, radius_px: f64) -> usize {
         self.set(Extent::whole(radius_px));
+        self.pixels
+    }
+
+    /// Number of pixels.
+    pub const fn pixels(&self) -> usize {
         self.pixels
     }
 
@@ -244,6 +249,16 @@ impl Window {
             for (sum, (a, b)) in sums.iter_mut().zip(terms(cell)) {
                 sum.add(a, b);
             }
+        }
+        sums.each_ref().map(Sum::total)
+    }
+
+    /// Sums of the levels times these terms over the pixels.
+    #[inline]
+    fn level_sums<const N: usize>(&self, terms: impl Fn(&Cell) -> [&Lanes; N]) -> [f64; N] {
+        let mut sums = [Sum::default(); N];
+        for (cell, level) in self.cells.iter().zip(&self.grey) {
+            sums.iter_mut().zip(terms(cell)).for_each(|(sum, term)| sum.add(term, level));
         }
         sums.each_ref().map(Sum::total)
     }
@@ -291,29 +306,38 @@ impl Window {
 
     /// Least-squares levels, and the factor of their normal matrix (ground, slopes, contrast).
     pub fn levels(&mut self) -> Option<(Levels, Factor<4>)> {
-        let ([one, x, y, square], right) = self.inside_sums();
-        let factor = self.factor_with(one, x, y, square)?;
-        let [level, level_x, level_y] = self.ground_right;
-        let [ground, x, y, contrast] = factor.solve(&[level, level_x, level_y, right]);
-        self.light(contrast / ground.max(1.0));
-        Some((Levels { contrast, ground, slope: DVec2::new(x, y) }, factor))
+        let factor = self.follow()?;
+        let [right] = self.level_sums(|cell| [&cell.inside]);
+        let (levels, _) = self.solve_levels(&factor, right);
+        self.light(levels.contrast / levels.ground.max(1.0));
+        Some((levels, factor))
+    }
+
+    /// Levels from Σ of the share times the level, and how much they explain of Σ level².
+    fn solve_levels(&self, factor: &Factor<4>, inside: f64) -> (Levels, f64) {
+        let [one, x, y] = self.ground_right;
+        let right = [one, x, y, inside];
+        let solved = factor.solve(&right);
+        let explained = solved.iter().zip(&right).map(|(a, b)| a * b).sum();
+        let [ground, x, y, contrast] = solved;
+        (Levels { contrast, ground, slope: DVec2::new(x, y) }, explained)
+    }
+
+    /// As [`Self::levels`] for given shares, with Σ residual².
+    pub fn levels_with(&self, shares: &[Lanes], factor: &Factor<4>) -> (Levels, f64) {
+        let (mut inside, mut square) = (Sum::default(), Sum::default());
+        for (share, level) in shares.iter().zip(&self.grey) {
+            inside.add(share, level);
+            square.add(level, level);
+        }
+        let (levels, explained) = self.solve_levels(factor, inside.total());
+        (levels, square.total() - explained)
     }
 
     /// Only the factor of [`Self::levels`].
     pub fn follow(&self) -> Option<Factor<4>> {
-        let ([one, x, y, square], _) = self.inside_sums();
-        self.factor_with(one, x, y, square)
-    }
-
-    /// Σ of the share times 1, x, y and itself, and times the level.
-    fn inside_sums(&self) -> ([f64; 4], f64) {
-        let [one, x, y, square, right] = self.sums(|Cell { x, y, one, level, inside, .. }| {
-            [one, x, y, inside, level].map(|term| (inside, term))
-        });
-        ([one, x, y, square], right)
-    }
-
-    fn factor_with(&self, one: f64, x: f64, y: f64, square: f64) -> Option<Factor<4>> {
+        let [one, x, y, square] =
+            self.sums(|Cell { x, y, one, inside, .. }| [one, x, y, inside].map(|term| (inside, term)));
         let [ground, along, across] = self.ground;
         Factor::new(&[
             [ground[0], 0.0, 0.0, 0.0],
@@ -328,13 +352,13 @@ impl Window {
         let per_blur = (1.0 / blur_px) as f32;
         let mut matrix = [[Sum::default(); 5]; 5];
         let mut right = [Sum::default(); 5];
-        for cell in &self.cells {
+        for (cell, level) in self.cells.iter().zip(&self.grey) {
             // ∂Φ(-d/σ)/∂σ = φ(d/σ) d / σ²
             let wider =
                 Lanes(core::array::from_fn(|k| per_blur * per_blur * cell.density[k] * cell.distance[k]));
             let terms = [&cell.one, &cell.x, &cell.y, &cell.inside, &wider];
             for i in 0..5 {
-                right[i].add(terms[i], &cell.level);
+                right[i].add(terms[i], level);
                 for j in 0..=i {
                     matrix[i][j].add(terms[i], terms[j]);
                 }
@@ -349,13 +373,23 @@ impl Window {
 
     /// Normal matrix of the outline's step with the levels eliminated (variable projection).
     pub fn matrix(&self, levels: &Factor<4>, blur_px: f64) -> Matrix {
+        self.matrix_by(|cell| &cell.weight, levels, blur_px)
+    }
+
+    /// How much a step explains of Σ residual², as a quadratic form, for a contrast of 1.
+    pub fn explained(&self, levels: &Factor<4>, blur_px: f64) -> Matrix {
+        let matrix = self.matrix_by(|cell| &cell.density, levels, blur_px);
+        matrix.map(|row| row.map(|entry| entry / blur_px))
+    }
+
+    fn matrix_by(&self, weight: impl Fn(&Cell) -> &Lanes, levels: &Factor<4>, blur_px: f64) -> Matrix {
         let mut sums = [[Sum::default(); 5]; 5];
         let mut with_weight = [[Sum::default(); 4]; 5];
         let mut with_slope = [[Sum::default(); 4]; 5];
         for cell in &self.cells {
             let times = |a: &Lanes, b: &Lanes| Lanes(core::array::from_fn(|k| a[k] * b[k]));
             let sloped = cell.basis.each_ref().map(|basis| times(&cell.density, basis));
-            let weighted = cell.basis.each_ref().map(|basis| times(&cell.weight, basis));
+            let weighted = cell.basis.each_ref().map(|basis| times(weight(cell), basis));
             let terms = [&cell.one, &cell.x, &cell.y, &cell.inside];
             let seen = [&cell.one, &cell.lit[0], &cell.lit[1], &cell.inside];
             for i in 0..5 {
@@ -421,11 +455,16 @@ impl Window {
         }
     }
 
+    /// Appends the shares cell by cell.
+    pub fn shares(&self, out: &mut Vec<Lanes>) {
+        out.extend(self.cells.iter().map(|cell| cell.inside));
+    }
+
     /// Applies the sensitivities to the levels.
     pub fn sum_answers(&self, answers: &[Answers]) -> [f64; ANSWERS] {
         let mut sums = [Sum::default(); ANSWERS];
-        for (cell, Answers(answers)) in self.cells.iter().zip(answers) {
-            sums.iter_mut().zip(answers).for_each(|(sum, answer)| sum.add(answer, &cell.level));
+        for (level, Answers(answers)) in self.grey.iter().zip(answers) {
+            sums.iter_mut().zip(answers).for_each(|(sum, answer)| sum.add(answer, level));
         }
         sums.each_ref().map(Sum::total)
     }
@@ -446,12 +485,12 @@ impl Window {
         let [ground, along, across, contrast] =
             [levels.ground, levels.slope.x, levels.slope.y, levels.contrast].map(|level| level as f32);
         let (mut right, mut square) = ([Sum::default(); 5], Sum::default());
-        let Self { cells, scratch: Scratch { residual, pull, .. }, .. } = self;
-        for cell in &*cells {
+        let Self { cells, grey, scratch: Scratch { residual, pull, .. }, .. } = self;
+        for (cell, level) in cells.iter().zip(&*grey) {
             for k in 0..WIDTH {
                 let slopes = along * cell.lit[0][k] + across * cell.lit[1][k];
                 let expected = ground * cell.one[k] + slopes + contrast * cell.inside[k];
-                residual[k] = cell.level[k] - expected;
+                residual[k] = level[k] - expected;
                 pull[k] = cell.weight[k] * residual[k];
             }
             square.add(residual, residual);

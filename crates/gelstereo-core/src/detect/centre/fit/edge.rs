@@ -84,7 +84,7 @@ impl Edge {
         let count =
             FREQUENCIES.max(ceil(HIGHEST * (2.0 * radius + PERIOD) / TAU) as usize).min(MAX_FREQUENCIES);
         let step = HIGHEST / count as f64;
-        let least = MIN_SHARE * noise.spectrum(0.0);
+        let min = MIN_SHARE * noise.spectrum(0.0);
         // Weight of every frequency; sums for the slope and for its mean square frequency.
         let mut heights = [0.0; MAX_FREQUENCIES];
         let (mut slopes, mut bends) = (0.0, 0.0);
@@ -92,7 +92,7 @@ impl Edge {
             let k = n as f64 * step;
             let k_px = k / blur_px;
             let density = exp(-0.5 * k * k);
-            let share = density / noise.spectrum(k_px * k_px).max(least);
+            let share = density / noise.spectrum(k_px * k_px).max(min);
             *height = radius * step * k / blur_px * share * self.bessel.j1(k * radius);
             slopes += share * density;
             bends += share * density * k_px * k_px;

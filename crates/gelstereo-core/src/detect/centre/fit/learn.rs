@@ -5,9 +5,10 @@ use super::disc::{Answers, Matrix, Outline};
 use super::fitter::{FIRST_BLUR_PX, Fitter};
 use super::lanes::WIDTH;
 use super::step::{Start, apply, covariance, plausible, step};
+use super::template::Usual;
 use crate::detect::centre::influence::{Influence, MAX_PIXELS, Variances};
 use crate::detect::centre::middle::Middle;
-use crate::detect::centre::noise::{ENOUGH_ROWS, NoiseMeter};
+use crate::detect::centre::noise::{ENOUGH_ROWS, MarkerPixels, NoiseMeter, NoiseRows};
 use crate::detect::centre::sampling;
 use crate::image::GrayView;
 use crate::math::linalg::Symmetric;
@@ -70,14 +71,20 @@ impl Learner {
         }
     }
 
-    /// Reserves memory for images of at most `most` markers.
-    pub fn reserve(&mut self, most: usize) {
+    /// Reserves memory for images of at most `max` markers.
+    pub fn reserve(&mut self, max: usize) {
         self.centres_px.clear();
-        self.centres_px.reserve(most);
+        self.centres_px.reserve(max);
     }
 
-    /// Learns noise and blur of an image from its gel (`mask` is 0 there) and some of its markers.
-    pub fn learn(&mut self, fit: &mut Fitter, image: GrayView<'_>, mask: &[u8], starts: &[Start]) {
+    /// Learns noise and blur of an image from its gel and some of its markers.
+    pub fn learn(
+        &mut self,
+        fit: &mut Fitter,
+        image: GrayView<'_>,
+        markers: MarkerPixels<'_>,
+        starts: &[Start],
+    ) {
         fit.blur_px = fit.given_blur_px.unwrap_or(FIRST_BLUR_PX);
         fit.radius_off_px = 0.0;
         self.take_samples(fit, starts, SAMPLES);
@@ -94,15 +101,16 @@ impl Learner {
             let spread_px2 = sample.outline.spread_px2()?;
             Some(Start { spread_px2, ..sample.start }.radius_px() - sample.start.radius_px())
         });
-        let usual_px2 = self.usual_spread_px2();
+        let usual_px2 = self.usual_px2(|sample| sample.outline.spread_px2());
+        fit.usual_start_px2 = self.usual_px2(|sample| Some(sample.start.spread_px2)).unwrap_or_default();
         fit.contrast = self.median_of(|sample| Some(sample.contrast));
         let gel_level = self.median_of(|sample| Some(sample.ground));
         let clearance_px = ceil(CLEAR_BLURS * fit.blur_px - 0.5).clamp(CLEAR_PX.0, CLEAR_PX.1) as usize;
-        let every = (image.height() / ENOUGH_ROWS).max(1);
         self.centres_px.clear();
         self.centres_px.extend(starts.iter().map(|start| start.centre_px));
-        let gel = (mask, self.centres_px.as_slice());
-        fit.noise = self.meter.run(image, gel, every, clearance_px).unwrap_or_default().at(gel_level);
+        let noise =
+            self.meter.run(image, markers, &self.centres_px, NoiseRows { rows: ENOUGH_ROWS, clearance_px });
+        fit.noise = noise.unwrap_or_default().at(gel_level);
         if fit.given_blur_px.is_none() {
             fit.blur_px = unexplained_blur_px(fit, radius_px + fit.radius_off_px);
         }
@@ -110,26 +118,26 @@ impl Learner {
         fit.edge.weigh(fit.blur_px, radius_px + fit.radius_off_px, &fit.noise);
         self.measure_sandwich(fit, image);
         let window_px = self.median_of(|sample| Some(sample.window_px));
+        fit.usual_window_px = window_px;
         fit.template.forget();
         if let Some(spread_px2) = usual_px2 {
-            let (per_ground, blur_px) = (fit.contrast / gel_level.max(1.0), fit.blur_px);
-            let Fitter { template, window, edge, .. } = fit;
-            template.learn(window, (&spread_px2, window_px), per_ground, (blur_px, edge));
+            let usual = Usual { spread_px2, window_px, per_ground: fit.contrast / gel_level.max(1.0) };
+            let Fitter { template, window, edge, blur_px, .. } = fit;
+            template.learn(window, &usual, *blur_px, edge);
         }
     }
 
-    /// Median spread of the samples' outlines.
-    fn usual_spread_px2(&mut self) -> Option<Symmetric<2>> {
-        let mut entry =
-            |i: usize, j: usize| self.median_of(|sample| Some(sample.outline.spread_px2()?[i][j]));
+    /// Median of the samples' spreads.
+    fn usual_px2(&mut self, spread_px2: impl Fn(&Sample) -> Option<Symmetric<2>>) -> Option<Symmetric<2>> {
+        let mut entry = |i: usize, j: usize| self.median_of(|sample| Some(spread_px2(sample)?[i][j]));
         let (xx, xy, yy) = (entry(0, 0), entry(1, 0), entry(1, 1));
         (xx * yy > xy * xy).then_some([[xx, xy], [xy, yy]])
     }
 
-    fn take_samples(&mut self, fit: &Fitter, starts: &[Start], most: usize) {
+    fn take_samples(&mut self, fit: &Fitter, starts: &[Start], max: usize) {
         self.samples.clear();
         self.samples.reserve(MORE_SAMPLES);
-        let count = starts.len().min(most);
+        let count = starts.len().min(max);
         for k in 0..count {
             let start = starts[k * starts.len() / count];
             let Some(outline) = Outline::new(DVec2::ZERO, &start.spread_px2) else { continue };
@@ -174,7 +182,7 @@ impl Learner {
             return None;
         }
         self.samples[k].alive = false;
-        fit.load(image, &start)?;
+        fit.load(image, start.centre_px, fit.window_px(&start))?;
         outline.centre += start.centre_px - fit.window.origin;
         fit.window.draw(&outline, fit.blur_px, &fit.edge);
         let (levels, follow) = fit.window.levels()?;
@@ -227,7 +235,7 @@ impl Learner {
         if !alive {
             return None;
         }
-        fit.load(image, &start).filter(|&pixels| pixels <= MAX_PIXELS)?;
+        fit.load(image, start.centre_px, fit.window_px(&start)).filter(|&pixels| pixels <= MAX_PIXELS)?;
         outline.centre += start.centre_px - fit.window.origin;
         fit.window.draw(&outline, fit.blur_px, &fit.edge);
         let (levels, follow) = fit.window.levels()?;

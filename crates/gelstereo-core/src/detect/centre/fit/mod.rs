@@ -17,6 +17,7 @@ mod learn;
 mod step;
 mod template;
 
+use super::noise::MarkerPixels;
 pub use super::noise::Noise;
 pub use step::{Fitted, Start};
 
@@ -24,14 +25,16 @@ use super::covered;
 use super::weighted::WeightedCentroid;
 use super::{CentreRung, Components, MaskedMarkers};
 use crate::detect::markers::Markers;
-use crate::detect::mask::components::{Blob, Most, Run};
+use crate::detect::mask::components::{Blob, Limits, Run};
 use crate::detect::mask::segmentation::MIN_NEIGHBOUR_PX2;
+use crate::detect::window::size::MarkerSize;
 use crate::image::GrayView;
 use crate::math::DVec2;
 use crate::math::linalg::Symmetric;
 use crate::params::DetectParams;
 use crate::spatial::Grid;
 use alloc::vec::Vec;
+use core::f64::consts::PI;
 use fitter::{FIRST_BLUR_PX, Fitter, REACH_PX};
 use learn::Learner;
 
@@ -39,6 +42,13 @@ use learn::Learner;
 const MIN_FAR_PX: f64 = 2.0 + REACH_PX + 4.0 * FIRST_BLUR_PX;
 /// Standard deviation of an intensity-weighted centroid over the bound, if the fit did not converge.
 const UNFITTED: f64 = 4.0;
+
+/// A marker's place in the list, and its approximate radius.
+#[derive(Clone, Copy)]
+struct Listed {
+    index: usize,
+    radius_px: f64,
+}
 
 /// Fit of all markers of an image, with its scratch.
 #[derive(Clone, Debug)]
@@ -85,7 +95,7 @@ impl DiscFit {
     /// Learns noise and blur of an image from its gel (`mask` is 0 there) and some of its markers.
     pub fn learn(&mut self, image: GrayView<'_>, mask: &[u8], starts: &[Start]) {
         self.learner.reserve(starts.len());
-        self.learner.learn(&mut self.fitter, image, mask, starts);
+        self.learner.learn(&mut self.fitter, image, MarkerPixels::Mask(mask), starts);
     }
 
     /// Fits one marker with the noise and blur last learned. `None` if the fit does not converge,
@@ -95,13 +105,13 @@ impl DiscFit {
         self.fitter.run(image, start)
     }
 
-    /// Clears the markers of the last image and reserves memory for `most`.
-    fn clear(&mut self, most: usize) {
+    /// Clears the markers of the last image and reserves memory for `max`.
+    fn clear(&mut self, max: usize) {
         self.starts.clear();
-        self.starts.reserve(most);
+        self.starts.reserve(max);
         self.unfitted.clear();
-        self.unfitted.reserve(most);
-        self.learner.reserve(most);
+        self.unfitted.reserve(max);
+        self.learner.reserve(max);
     }
 
     /// Adds a marker with its approximate centre and spread ([`Blob::spread_px2`]).
@@ -110,34 +120,48 @@ impl DiscFit {
     }
 
     /// Fits the added markers, which `markers` lists in the same order, and replaces centre and
-    /// covariance on success. `others_px` are the centres of all components of the image's `mask`, since
-    /// pixels of neighbours are excluded.
+    /// covariance on success. `others_px` are the centres of all components of the image, since pixels of
+    /// neighbours are excluded.
     fn finish(
         &mut self,
         image: GrayView<'_>,
-        mask: &[u8],
+        pixels: MarkerPixels<'_>,
         others_px: impl Iterator<Item = DVec2>,
         markers: &mut Markers,
     ) {
         self.find_neighbours(image, others_px);
-        let Self { fitter, learner, starts, unfitted, .. } = self;
-        learner.learn(fitter, image, mask, starts);
-        for (k, start) in starts.iter().enumerate() {
-            match fitter.run(image, start) {
-                Some(fitted) => {
-                    markers.centres_px[k] = fitted.centre_px;
-                    markers.covariance_px2[k] = fitted.covariance_px2;
-                }
-                None => {
-                    unfitted.push(k as u32);
-                    let least = unfitted_variance_px2(fitter, start);
-                    let covered = covered::unfitted_px2(image, markers, k);
-                    let [[xx, _], [_, yy]] = &mut markers.covariance_px2[k];
-                    (*xx, *yy) = (xx.max(least) + covered, yy.max(least) + covered);
-                }
+        self.learner.learn(&mut self.fitter, image, pixels, &self.starts);
+        for k in 0..self.starts.len() {
+            let start = &self.starts[k];
+            let (fitted, radius_px) = (self.fitter.run(image, start), start.radius_px());
+            if !self.replace(image, Listed { index: k, radius_px }, fitted, markers) {
+                self.unfitted.push(k as u32);
             }
         }
-        markers.unfitted = unfitted.len();
+        markers.unfitted = self.unfitted.len();
+    }
+
+    /// Replaces centre and covariance of a listed marker if it was fitted; returns whether it was.
+    fn replace(
+        &self,
+        image: GrayView<'_>,
+        Listed { index, radius_px }: Listed,
+        fitted: Option<Fitted>,
+        markers: &mut Markers,
+    ) -> bool {
+        if let Some(Fitted { centre_px, covariance_px2: [[xx, xy], [_, yy]], .. }) = fitted {
+            // What is left of a covered disc may pass for an ellipse.
+            let usual_px2 = PI * self.fitter.usual_radius_px() * self.fitter.usual_radius_px();
+            let hidden = covered::hidden_px2(image, markers, index, usual_px2);
+            markers.centres_px[index] = centre_px;
+            markers.covariance_px2[index] = [[xx + hidden, xy], [xy, yy + hidden]];
+            return true;
+        }
+        let min = unfitted_variance_px2(&self.fitter, radius_px);
+        let covered = covered::unfitted_px2(image, markers, index);
+        let [[xx, _], [_, yy]] = &mut markers.covariance_px2[index];
+        (*xx, *yy) = (xx.max(min) + covered, yy.max(min) + covered);
+        false
     }
 
     fn find_neighbours(&mut self, image: GrayView<'_>, others_px: impl Iterator<Item = DVec2>) {
@@ -146,10 +170,10 @@ impl DiscFit {
         // A neighbour farther away takes no pixels.
         let far_px = 2.0 * widest + REACH_PX + 4.0 * FIRST_BLUR_PX;
         centres_px.clear();
-        let most = Most::of(image.width(), image.height()).kept;
-        centres_px.reserve(most);
+        let max = Limits::of(image.width(), image.height()).kept;
+        centres_px.reserve(max);
         centres_px.extend(others_px);
-        grid.reserve(most, (image.width(), image.height()), MIN_FAR_PX);
+        grid.reserve(max, (image.width(), image.height()), MIN_FAR_PX);
         grid.build(centres_px, far_px);
         for start in starts {
             let (at, own_px) = (start.centre_px, 0.5 * start.radius_px());
@@ -163,34 +187,39 @@ impl CentreRung for DiscFit {
     fn centre_components(&mut self, found: &mut Components<'_>, out: &mut Markers) {
         found.push_means(self.variance_px2, out);
         self.clear(found.max_markers);
-        let (image, filter) = (found.image, found.filter);
-        let (components, mask) = found.segmentation.draw();
-        let whole = || components.blobs().iter().filter(|blob| filter.passes_whole(blob));
-        whole().for_each(|blob| self.add(blob.mean_px(), blob.spread_px2(components.runs(blob))));
+        let (image, components) = (found.image, &found.segmentation.components);
+        found.markers().for_each(|blob| self.add(blob.mean_px(), blob.spread_px2(found.runs(blob))));
         let others = components.blobs().iter().filter(|blob| blob.area_px2 >= MIN_NEIGHBOUR_PX2);
-        self.finish(image, mask, others.map(Blob::mean_px), out);
+        let pixels = MarkerPixels::Components { components, scale: 1 };
+        self.finish(image, pixels, others.map(Blob::mean_px), out);
         self.weighted.reserve(image.height());
         let mut unfitted = self.unfitted.iter().map(|&k| k as usize).peekable();
-        for (k, blob) in whole().enumerate() {
+        for (k, blob) in found.markers().enumerate() {
             if unfitted.next_if_eq(&k).is_some() {
-                out.centres_px[k] = self.weighted.run(image, blob, components.runs(blob));
+                out.centres_px[k] = self.weighted.run(image, blob, found.runs(blob));
             }
         }
     }
 
-    fn centre_piece(&mut self, image: GrayView<'_>, blob: &Blob, runs: &[Run]) -> DVec2 {
+    fn centre_component(&mut self, image: GrayView<'_>, blob: &Blob, runs: &[Run]) -> DVec2 {
         self.weighted.run(image, blob, runs.iter())
     }
 
-    fn refine_masked(
-        &mut self,
-        found: &MaskedMarkers<'_>,
-        _: &mut dyn FnMut(usize) -> Option<DVec2>,
-        out: &mut Markers,
-    ) {
+    fn refine_masked(&mut self, found: &MaskedMarkers<'_>, out: &mut Markers) {
         self.clear(found.max_markers);
         found.markers.iter().for_each(|m| self.add(m.centre_px, m.spread_px2));
-        self.finish(found.image, found.mask, found.markers.iter().map(|m| m.centre_px), out);
+        let others_px = found.markers.iter().map(|m| m.centre_px);
+        self.finish(found.image, MarkerPixels::Mask(found.mask), others_px, out);
+    }
+
+    /// Uses what was learned from the last whole image searched.
+    fn refine_windows(&mut self, image: GrayView<'_>, _: &MarkerSize, out: &mut Markers) -> bool {
+        let radius_px = self.fitter.usual_radius_px();
+        for k in 0..out.centres_px.len() {
+            let fitted = self.fitter.run_usual(image, out.centres_px[k]);
+            out.unfitted += usize::from(!self.replace(image, Listed { index: k, radius_px }, fitted, out));
+        }
+        true
     }
 
     fn window_variance_px2(&self, _: u8) -> f64 {
@@ -201,11 +230,15 @@ impl CentreRung for DiscFit {
     fn sees_glare(&self) -> bool {
         true
     }
+
+    fn forget(&mut self) {
+        self.fitter.forget();
+    }
 }
 
 /// Least variance of a coordinate, px², of a marker that was not fitted.
-fn unfitted_variance_px2(fitter: &Fitter, start: &Start) -> f64 {
+fn unfitted_variance_px2(fitter: &Fitter, radius_px: f64) -> f64 {
     // (sigma / C)² 2 b / (sqrt(pi) r) for white noise.
     let per_contrast2 = fitter.noise.variance_levels2() / (fitter.contrast * fitter.contrast).max(1.0);
-    UNFITTED * UNFITTED * per_contrast2 * 1.13 * fitter.blur_px / start.radius_px().max(1.0)
+    UNFITTED * UNFITTED * per_contrast2 * 1.13 * fitter.blur_px / radius_px.max(1.0)
 }

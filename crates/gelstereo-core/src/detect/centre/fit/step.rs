@@ -38,8 +38,6 @@ pub struct Fitted {
     pub spread_px2: Symmetric<2>,
     /// Level of the dot minus that of the gel, grey levels.
     pub contrast_levels: f64,
-    /// Steps taken.
-    pub steps: usize,
 }
 
 /// Solves for the outline's step.
@@ -52,18 +50,22 @@ pub(super) fn step(factor: &Factor<5>, right: &[f64; 5], levels: &Levels) -> Opt
 /// shift, px.
 pub(super) fn apply(outline: &mut Outline, step: &[f64; 5]) -> f64 {
     let [x, y, form @ ..] = *step;
-    let [xx, xy, yy] = outline.form;
-    // r moves by r/2 per relative change of A, and r² is 2 / trace A for a circle.
-    let [changed_xx, changed_xy, changed_yy] = form;
-    let changed = sqrt(changed_xx * changed_xx + 2.0 * changed_xy * changed_xy + changed_yy * changed_yy);
-    let part = changed / sqrt(xx * xx + 2.0 * xy * xy + yy * yy);
-    let moved_px = sqrt(x * x + y * y) + 0.5 * part * sqrt(2.0 / (xx + yy));
+    let moved_px = sqrt(x * x + y * y) + reshaped_px(outline, step);
     let share = (MAX_PX / moved_px).min(1.0);
     outline.centre += DVec2::new(x, y) * share;
     for (entry, change) in outline.form.iter_mut().zip(form) {
         *entry += change * share;
     }
     moved_px * share
+}
+
+/// How far a step's change of the form moves the outline.
+pub(super) fn reshaped_px(outline: &Outline, &[_, _, xx, xy, yy]: &[f64; 5]) -> f64 {
+    let changed = sqrt(xx * xx + 2.0 * xy * xy + yy * yy);
+    let [xx, xy, yy] = outline.form;
+    // r moves by r/2 per relative change of A, and r² is 2 / trace A for a circle.
+    let part = changed / sqrt(xx * xx + 2.0 * xy * xy + yy * yy);
+    0.5 * part * sqrt(2.0 / (xx + yy))
 }
 
 /// Whether the outline is still near its starting position and size.

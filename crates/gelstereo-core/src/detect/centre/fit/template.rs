@@ -1,15 +1,15 @@
-//! Start of a fit: one step from the usual marker's outline, with weights precomputed for the image.
+//! One step from the usual marker's outline, with weights precomputed for the image.
 //!
-//! The markers of an image are alike. The first step from the usual outline, at the nearest of 4 x 4
-//! sub-pixel positions, is linear in the levels except for the division by the contrast. Its weights
-//! therefore serve all markers (as the template's slopes do in Baker and Matthews, "Lucas-Kanade 20 years
-//! on", IJCV 2004, section 3.2). It costs a tenth of a step with the marker's own outline, and leaves
-//! that step a few hundredths of a pixel.
+//! The markers of an image are alike. The step from the usual outline, at the nearest of 4 x 4 sub-pixel
+//! positions, is linear in the levels except for the division by the contrast. Its weights therefore serve
+//! all markers (as the template's slopes do in Baker and Matthews, "Lucas-Kanade 20 years on", IJCV 2004,
+//! section 3.2). It costs a tenth of a step with the marker's own outline. For a marker of the usual form it
+//! leaves third order in the distance from that position, a few thousandths of a pixel.
 
-use super::disc::{ANSWERS, Answers, Outline, Window};
+use super::disc::{ANSWERS, Answers, Levels, Matrix, Outline, Window};
 use super::edge::Edge;
-use super::lanes::WIDTH;
-use super::step::apply;
+use super::lanes::{Lanes, WIDTH};
+use super::step::{apply, reshaped_px};
 use crate::math::linalg::Symmetric;
 use crate::math::{DVec2, Factor, floor};
 use alloc::vec::Vec;
@@ -30,56 +30,91 @@ pub(super) struct Template {
     /// Form of its outline.
     form: [f64; 3],
     cells: usize,
+    places: Vec<Place>,
     /// By sub-pixel position, then by cell.
     answers: Vec<Answers>,
+    shares: Vec<Lanes>,
+}
+
+/// What is known of steps from one sub-pixel position.
+#[derive(Clone, Copy, Debug)]
+struct Place {
+    levels: Factor<4>,
+    outline: Factor<5>,
+    explained: Matrix,
+}
+
+/// A step from the template.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct TemplateStep {
+    place: usize,
+    step: [f64; 5],
+    /// Outline after the step.
+    pub outline: Outline,
+    /// Distance of its centre from the template's.
+    pub moved_px: f64,
+    /// Shift of the outline by its change of form.
+    pub reshaped_px: f64,
+    pub contrast: f64,
 }
 
 impl Template {
     pub fn new() -> Self {
-        Self { radius_px: 0.0, form: [0.0; 3], cells: 0, answers: Vec::new() }
+        Self {
+            radius_px: 0.0,
+            form: [0.0; 3],
+            cells: 0,
+            places: Vec::new(),
+            answers: Vec::new(),
+            shares: Vec::new(),
+        }
     }
 
     pub fn forget(&mut self) {
         self.radius_px = 0.0;
     }
 
-    /// Radius of its window, px.
+    /// Radius of its window, px; 0 without a template.
     pub const fn radius_px(&self) -> f64 {
         self.radius_px
     }
 
-    /// Computes the weights for an outline of this spread; `per_ground` is the contrast over the ground's
-    /// level.
-    pub fn learn(
-        &mut self,
-        window: &mut Window,
-        (spread_px2, radius_px): (&Symmetric<2>, f64),
-        per_ground: f64,
-        (blur_px, edge): (f64, &Edge),
-    ) {
+    /// Computes the weights for an outline of this spread in a window of `radius_px`; `per_ground` is the
+    /// contrast over the ground's level.
+    pub fn learn(&mut self, window: &mut Window, usual: &Usual, blur_px: f64, edge: &Edge) {
         self.forget();
+        self.places.clear();
+        self.places.reserve(PLACES * PLACES);
         self.answers.clear();
         self.answers.reserve(PLACES * PLACES * MAX_CELLS);
-        let pixels = window.lay(radius_px);
+        self.shares.clear();
+        self.shares.reserve(PLACES * PLACES * MAX_CELLS);
+        let pixels = window.lay(usual.window_px);
         if pixels > MAX_PIXELS {
             return;
         }
         for place in 0..PLACES * PLACES {
-            let Some(outline) = Outline::new(place_of(place), spread_px2) else { return };
+            let Some(outline) = Outline::new(place_of(place), &usual.spread_px2) else { return };
             window.draw(&outline, blur_px, edge);
-            let Some(follow) = window.follow() else { return };
-            window.light(per_ground);
-            let Some(factor) = Factor::new(&window.matrix(&follow, blur_px)) else { return };
-            window.answers(&factor, &follow, &mut self.answers);
+            let Some(levels) = window.follow() else { return };
+            window.light(usual.per_ground);
+            let Some(factor) = Factor::new(&window.matrix(&levels, blur_px)) else { return };
+            window.answers(&factor, &levels, &mut self.answers);
+            window.shares(&mut self.shares);
+            self.places.push(Place {
+                levels,
+                outline: factor,
+                explained: window.explained(&levels, blur_px),
+            });
             self.form = outline.form;
         }
-        (self.radius_px, self.cells) = (radius_px, pixels.div_ceil(WIDTH));
+        (self.radius_px, self.cells) = (usual.window_px, pixels.div_ceil(WIDTH));
     }
 
-    /// Outline after its first step, starting near `at`. `None` if the window's extent differs from the
-    /// template's.
-    pub fn start(&self, window: &Window, at: DVec2) -> Option<Outline> {
-        if !window.is_whole(self.radius_px) {
+    /// Step towards the marker near `at`. `None` if the window's extent differs from the template's or
+    /// shows no contrast.
+    pub fn step(&self, window: &Window, at: DVec2) -> Option<TemplateStep> {
+        if self.radius_px == 0.0 || !window.is_whole(self.radius_px) {
             return None;
         }
         let place = nearest_place(at);
@@ -88,11 +123,52 @@ impl Template {
         if !(contrast * contrast > MIN_CONTRAST * MIN_CONTRAST) {
             return None;
         }
-        let mut outline = Outline { centre: place_of(place), form: self.form };
+        let from = Outline { centre: place_of(place), form: self.form };
         let step = core::array::from_fn(|k| sums[k] / contrast);
+        let mut outline = from;
         apply(&mut outline, &step);
-        Some(outline)
+        let moved_px = outline.centre.distance(from.centre);
+        Some(TemplateStep {
+            place,
+            step,
+            outline,
+            moved_px,
+            reshaped_px: reshaped_px(&from, &step),
+            contrast,
+        })
     }
+
+    /// Levels before a step, and what is left of Σ residual² after it.
+    pub fn residual(&self, window: &Window, stepped: &TemplateStep) -> (Levels, f64) {
+        let TemplateStep { place, step, contrast, .. } = stepped;
+        let Place { levels, explained, .. } = &self.places[*place];
+        let (levels, residual2) =
+            window.levels_with(&self.shares[place * self.cells..][..self.cells], levels);
+        let mut by_step = 0.0;
+        for i in 0..5 {
+            for j in 0..=i {
+                let both = if i == j { 1.0 } else { 2.0 };
+                by_step += both * step[i] * step[j] * explained[i][j];
+            }
+        }
+        (levels, (residual2 - contrast * contrast * by_step).max(0.0))
+    }
+
+    /// Factor of the normal matrix of a step.
+    pub fn factor(&self, stepped: &TemplateStep) -> &Factor<5> {
+        &self.places[stepped.place].outline
+    }
+}
+
+/// The usual marker of an image, for which a template is made.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Usual {
+    /// Of its outline.
+    pub spread_px2: Symmetric<2>,
+    /// Radius of its window.
+    pub window_px: f64,
+    /// Contrast over the ground's level.
+    pub per_ground: f64,
 }
 
 /// Offset of a sub-pixel position from the pixel's middle.
@@ -137,7 +213,8 @@ mod tests {
         edge.weigh_alike(BLUR_PX);
         let (mut template, mut window) = (Template::new(), Window::default());
         let spread_px2 = [[radius_px * radius_px, 0.0], [0.0, radius_px * radius_px]];
-        template.learn(&mut window, (&spread_px2, window_px), CONTRAST / GROUND, (BLUR_PX, &edge));
+        let usual = Usual { spread_px2, window_px, per_ground: CONTRAST / GROUND };
+        template.learn(&mut window, &usual, BLUR_PX, &edge);
         for (x, y, wider_px) in [(0.0, 0.0, 0.0), (0.31, -0.22, 0.0), (-0.5, 0.5, 0.1), (0.1, 0.2, -0.15)] {
             let (guess, centre) = (DVec2::new(12.0, 12.0), DVec2::new(12.0 + x, 12.0 + y));
             let levels = image(centre, radius_px + wider_px, side);
@@ -145,7 +222,7 @@ mod tests {
             // The guess is a tenth of a pixel off.
             let near = guess + DVec2::new(x, y) * 0.8 + DVec2::new(0.08, -0.06);
             window.load(view, near, window_px);
-            let outline = template.start(&window, near - window.origin).unwrap();
+            let outline = template.step(&window, near - window.origin).unwrap().outline;
             let [[xx, _], [_, yy]] = outline.spread_px2().unwrap();
             let found = window.origin + outline.centre;
             assert!(found.distance(centre) < 0.012, "{x} {y}: {found:?}");
@@ -159,12 +236,13 @@ mod tests {
         let (mut edge, mut template, mut window) = (Edge::new(), Template::new(), Window::default());
         edge.weigh_alike(BLUR_PX);
         let spread_px2 = [[9.0, 0.0], [0.0, 9.0]];
-        template.learn(&mut window, (&spread_px2, 6.0), CONTRAST / GROUND, (BLUR_PX, &edge));
+        let usual = Usual { spread_px2, window_px: 6.0, per_ground: CONTRAST / GROUND };
+        template.learn(&mut window, &usual, BLUR_PX, &edge);
         let levels = image(DVec2::splat(5.0), 3.0, 24);
         let view = GrayView::new(&levels, 24, 24, 24).unwrap();
         window.load(view, DVec2::splat(5.0), 6.0);
-        assert!(template.start(&window, DVec2::ZERO).is_none());
+        assert!(template.step(&window, DVec2::ZERO).is_none());
         window.load(view, DVec2::splat(6.0), 6.0);
-        assert!(template.start(&window, DVec2::ZERO).is_some());
+        assert!(template.step(&window, DVec2::ZERO).is_some());
     }
 }

@@ -5,6 +5,7 @@ mod differences;
 use crate::detect::centre::covered::GLARE_LEVEL;
 use crate::detect::centre::region::Region;
 use crate::detect::mask::bit_rows::BitRow;
+use crate::detect::mask::components::Components;
 use crate::image::GrayView;
 use crate::math::{DVec2, abs, exp, median, sqrt};
 use alloc::vec::Vec;
@@ -137,9 +138,40 @@ struct Variogram {
     sigma: f64,
 }
 
-/// Row step that samples `rows` rows of an image or a few more.
-pub(in crate::detect) const fn every_row_of(height: usize, rows: usize) -> usize {
-    if height < 2 * rows { 1 } else { height / rows }
+/// Where an image shows markers; the rest is gel.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::detect) enum MarkerPixels<'a> {
+    /// Bytes of the whole image: 255 at markers, otherwise 0.
+    Mask(&'a [u8]),
+    /// Components of the image reduced by `scale`.
+    Components { components: &'a Components, scale: usize },
+}
+
+impl MarkerPixels<'_> {
+    /// Sets the pixels of a row whose column belongs to a marker in any of these rows.
+    fn cover(&self, rows: RangeInclusive<usize>, width: usize, near: &mut BitRow) {
+        match *self {
+            // A marker is at least two rows high.
+            Self::Mask(mask) => rows.step_by(2).for_each(|row| near.set_where(&mask[row * width..])),
+            Self::Components { components, scale } => components.cover(rows, scale, near),
+        }
+    }
+}
+
+/// Which rows of an image are used, and how near to the markers.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::detect) struct NoiseRows {
+    /// Number of rows, or a few more.
+    pub rows: usize,
+    /// Least distance from the pixels of markers.
+    pub clearance_px: usize,
+}
+
+/// Every so many rows, and the least distance from markers.
+#[derive(Clone, Copy)]
+struct Rows {
+    every: usize,
+    clearance_px: usize,
 }
 
 /// Measures [`Noise`], with its scratch.
@@ -178,36 +210,20 @@ struct Total {
 }
 
 impl NoiseMeter {
-    /// Measures on each `every`-th row of `image`, at pixels `clearance_px` off the set pixels of `mask`,
-    /// among the markers at `centres_px`. Takes means over pieces, without outliers by scratches or
-    /// edges. `None` if there is no such gel.
-    pub fn run(
-        &mut self,
-        image: GrayView<'_>,
-        (mask, centres_px): (&[u8], &[DVec2]),
-        every: usize,
-        clearance_px: usize,
-    ) -> Option<Noise> {
-        let width = image.width();
-        self.run_rows(image, centres_px, (every, clearance_px), |rows, near| {
-            // A marker is at least two rows high.
-            for row in rows.step_by(2) {
-                near.set_where(&mask[row * width..]);
-            }
-        })
-    }
-
-    /// As [`Self::run`]; `cover` sets the pixels of a row whose column is in the mask in any of these rows.
+    /// Measures on some rows of `image`, off its markers, which are at `centres_px`. Takes means over pieces,
+    /// without outliers by scratches or edges. `None` if there is no such gel.
     ///
     /// What surrounds the lattice (tray, mount, walls, light that falls off) is not gel. It is used only
     /// if too little gel is clear among the markers.
-    pub fn run_rows(
+    pub fn run(
         &mut self,
         image: GrayView<'_>,
+        markers: MarkerPixels<'_>,
         centres_px: &[DVec2],
-        (every, clearance_px): (usize, usize),
-        mut cover: impl FnMut(RangeInclusive<usize>, &mut BitRow),
+        rows: NoiseRows,
     ) -> Option<Noise> {
+        let NoiseRows { rows, clearance_px } = rows;
+        let every = (image.height() / rows).max(1);
         self.pieces.clear();
         // More rows among the markers are used only if these have too few pairs.
         let rows_px = (image.height() / every + 1) * (image.width() / SLOPE_DIFFERENCES + 1);
@@ -215,17 +231,17 @@ impl NoiseMeter {
         self.scratch.clear();
         self.scratch.reserve(self.pieces.capacity().max(centres_px.len()));
         let glares = image.reaches(GLARE_LEVEL);
-        let mut cover = |rows: RangeInclusive<usize>, near: &mut BitRow| {
-            cover(rows.clone(), near);
+        let cover = |rows: RangeInclusive<usize>, near: &mut BitRow| {
+            markers.cover(rows.clone(), image.width(), near);
             // A light's reflection is not gel and hides markers, which the mask then lacks.
             if glares {
                 rows.step_by(2).for_each(|row| near.set_bright(image.row(row), GLARE_LEVEL));
             }
         };
         if let Some(region) = Region::around(centres_px, &mut self.scratch) {
-            let least_px = clearance_px.min(MIN_CLEARANCE_PX);
+            let min_px = clearance_px.min(MIN_CLEARANCE_PX);
             let columns = |y| region.columns(y, image.width());
-            let some = self.take_rows(image, columns, (every, clearance_px), &mut cover);
+            let some = self.take_rows(image, columns, Rows { every, clearance_px }, &cover);
             if some.pairs >= PLENTY_PAIRS {
                 return self.noise(&some);
             }
@@ -233,17 +249,17 @@ impl NoiseMeter {
             // too few.
             let expected = every as u64 * some.pairs;
             for (clearance_px, is_worth_it, enough) in
-                [(clearance_px, expected >= PLENTY_PAIRS, PLENTY_PAIRS), (least_px, true, ENOUGH_PAIRS)]
+                [(clearance_px, expected >= PLENTY_PAIRS, PLENTY_PAIRS), (min_px, true, ENOUGH_PAIRS)]
             {
                 if is_worth_it {
-                    let all = self.take_rows(image, columns, (1, clearance_px), &mut cover);
+                    let all = self.take_rows(image, columns, Rows { every: 1, clearance_px }, &cover);
                     if all.pairs >= enough {
                         return self.noise(&all);
                     }
                 }
             }
         }
-        let all = self.take_rows(image, |_| 0..image.width(), (every, clearance_px), &mut cover);
+        let all = self.take_rows(image, |_| 0..image.width(), Rows { every, clearance_px }, &cover);
         self.noise(&all)
     }
 
@@ -252,8 +268,8 @@ impl NoiseMeter {
         &mut self,
         image: GrayView<'_>,
         columns: impl Fn(usize) -> Range<usize>,
-        (every, clearance_px): (usize, usize),
-        cover: &mut impl FnMut(RangeInclusive<usize>, &mut BitRow),
+        Rows { every, clearance_px }: Rows,
+        cover: &impl Fn(RangeInclusive<usize>, &mut BitRow),
     ) -> Total {
         let (width, height) = (image.width(), image.height());
         let mut total = Total::default();
@@ -300,9 +316,9 @@ impl NoiseMeter {
         };
         let usual = middle(&|piece| f64::from(piece.entries[entry]))?;
         let off = |piece: &Piece| abs(f64::from(piece.entries[entry]) - usual);
-        let most = MAX_OFF * middle(&off)?;
+        let max = MAX_OFF * middle(&off)?;
         let (mut sum, mut pairs) = (0.0, 0.0);
-        for piece in pieces.iter().filter(|piece| off(piece) <= most) {
+        for piece in pieces.iter().filter(|piece| off(piece) <= max) {
             sum += f64::from(piece.pairs) * f64::from(piece.entries[entry]);
             pairs += f64::from(piece.pairs);
         }

@@ -1,4 +1,4 @@
-//! Variances of the soft-threshold centroids of [`Centre::Band`](crate::params::Centre::Band).
+//! Variances of the soft-threshold centroids of [`Centre::SoftThreshold`](crate::params::Centre::SoftThreshold).
 //!
 //! Such a centroid is a weighted sum of the pixels at the marker's edge and in the window's corners, with
 //! known weights. Its variance is that of the sum in the image's noise and grain. White noise counts
@@ -9,12 +9,11 @@
 mod profile;
 
 use super::covered;
-use super::noise::{CLEARANCE_PX, Noise, NoiseMeter, every_row_of};
+use super::noise::{CLEARANCE_PX, MarkerPixels, Noise, NoiseMeter, NoiseRows};
 use super::weighted::WeightedCentroid;
-use super::{CentreRung, Components as Found};
+use super::{CentreRung, Components};
 use crate::detect::markers::Markers;
-use crate::detect::mask::bit_rows::BitRow;
-use crate::detect::mask::components::{Blob, Components, Run};
+use crate::detect::mask::components::{Blob, Run};
 use crate::detect::window::classifier::{WindowClassifier, WindowMarker};
 use crate::detect::window::size::MarkerSize;
 use crate::detect::window::sized::SizedClassifier;
@@ -183,26 +182,23 @@ impl SoftThreshold {
         out.push(marker.centre_px, self.variance_px2, marker.area_px2);
     }
 
-    /// Computes and sets the variances of the listed markers of one size. The components are those of the
-    /// image reduced by `scale`.
+    /// Computes and sets the variances of the listed markers of one size.
     pub fn state_variances(
         &mut self,
         image: GrayView<'_>,
         size: &MarkerSize,
-        (components, scale): (&Components, usize),
+        pixels: MarkerPixels<'_>,
         out: &mut Markers,
     ) {
         let Self { polarity, variance_px2, meter, noise, bands, .. } = self;
-        let (classifier, every) =
-            (SizedClassifier::new(*size, *polarity), every_row_of(image.height(), NOISE_ROWS));
-        let cover = |rows, near: &mut BitRow| components.cover(rows, scale, near);
-        let measured =
-            meter.run_rows(image, &out.centres_px, (every, CLEARANCE_PX), cover).unwrap_or_default();
+        let classifier = SizedClassifier::new(*size, *polarity);
+        let rows = NoiseRows { rows: NOISE_ROWS, clearance_px: CLEARANCE_PX };
+        let measured = meter.run(image, pixels, &out.centres_px, rows).unwrap_or_default();
         noise.learn(image, &classifier, &measured, &out.centres_px, bands);
         let markers = out.covariance_px2.iter_mut().zip(bands).zip(out.centres_px.iter().zip(&out.area_px2));
         for ((covariance, &mut band), (&centre_px, &area_px2)) in markers {
-            let areas_px2 = (area_px2, size.usual_area_px2());
-            let covered = covered::without_band_px2(band, image, centre_px, areas_px2);
+            let usual_px2 = size.usual_area_px2();
+            let covered = covered::without_band_px2(band, image, centre_px, area_px2, usual_px2);
             let variance = noise.variance_px2(band, *variance_px2) + covered;
             *covariance = [[variance, 0.0], [0.0, variance]];
         }
@@ -211,7 +207,7 @@ impl SoftThreshold {
 
 impl CentreRung for SoftThreshold {
     /// Uses windows that show whole markers, otherwise the intensity-weighted centroid of the component.
-    fn centre_components(&mut self, found: &mut Found<'_>, out: &mut Markers) {
+    fn centre_components(&mut self, found: &mut Components<'_>, out: &mut Markers) {
         let size = MarkerSize::of(found.filter.usual_px2);
         let classifier = size.map(|size| SizedClassifier::new(size, self.polarity));
         self.start(found.image, found.max_markers);
@@ -226,11 +222,12 @@ impl CentreRung for SoftThreshold {
             self.push(&WindowMarker { area_px2: blob.area_px2, ..marker }, out);
         }
         if let Some(size) = size {
-            self.state_variances(found.image, &size, (&found.segmentation.components, 1), out);
+            let pixels = MarkerPixels::Components { components: &found.segmentation.components, scale: 1 };
+            self.state_variances(found.image, &size, pixels, out);
         }
     }
 
-    fn centre_piece(&mut self, image: GrayView<'_>, blob: &Blob, runs: &[Run]) -> DVec2 {
+    fn centre_component(&mut self, image: GrayView<'_>, blob: &Blob, runs: &[Run]) -> DVec2 {
         self.weighted.run(image, blob, runs.iter())
     }
 

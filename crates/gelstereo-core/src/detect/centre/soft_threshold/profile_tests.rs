@@ -190,10 +190,10 @@ fn variances_are_those_of_the_mean_marker() {
         let far_px = 0.5 * (SIDE as f64 - 1.0) * sqrt(2.0) - radius_px;
         let offset = (far_px * far_px / (4.0 * l2 * l2) - 1.0 / l2).max(1.0 / l2) / 24.0;
         let around = mean.grain + mean.common;
-        let most = (curved + off) * around + offset * mean.common + mean.cut;
+        let max = (curved + off) * around + offset * mean.common + mean.cut;
         let grains = found.grain - mean.grain;
-        let text = alloc::format!("{radius_px} px, band {band}: {grains:e} of {:e}, {most:e}", mean.grain);
-        assert!(abs(grains) < most, "grain {text}");
+        let text = alloc::format!("{radius_px} px, band {band}: {grains:e} of {:e}, {max:e}", mean.grain);
+        assert!(abs(grains) < max, "grain {text}");
     }
 }
 
@@ -213,13 +213,13 @@ fn what_differs_from_place_to_place_adds_little_to_the_mean_marker() {
         let mean = mean_marker(radius_px, band, &noise);
         let [white, grain] = reference(radius_px, band, &noise);
         let slopes = 32.0 / (PI * radius_px * EDGE_PX * EDGE_PX) * 0.5 * ALIASES;
-        let most_white = slopes * mean.tilted[0];
+        let max_white = slopes * mean.tilted[0];
         let around = 32.0 * PI * radius_px.powi(3) / (mean.weight * mean.weight) * 0.5 * ALIASES;
-        let most_grain = around * grain_levels2 / (band * band) + slopes * mean.tilted[1];
+        let max_grain = around * grain_levels2 / (band * band) + slopes * mean.tilted[1];
         let more = [white - mean.white, grain - mean.grain];
-        let text = alloc::format!("{radius_px} px, band {band}: {more:?} {most_white} {most_grain}");
-        assert!((-1e-4 * white..most_white + 1e-4 * white).contains(&more[0]), "white {text}");
-        assert!((0.0..most_grain).contains(&more[1]), "grain {text}");
+        let text = alloc::format!("{radius_px} px, band {band}: {more:?} {max_white} {max_grain}");
+        assert!((-1e-4 * white..max_white + 1e-4 * white).contains(&more[0]), "white {text}");
+        assert!((0.0..max_grain).contains(&more[1]), "grain {text}");
     }
 }
 

@@ -5,11 +5,11 @@ use super::lattice::Node;
 use super::model::FEW_SWEEPS;
 use super::prediction::{DECAY, GelFitScratch, PLANE, Prediction, Row, Sight, UNKNOWN};
 use crate::math::linalg::{Symmetric, eigen};
-use crate::math::sqrt;
+use crate::math::{solve_definite, sqrt};
 use crate::register::observe::dot;
 use crate::register::surface::candidate::Candidate;
 use crate::register::surface::distances::{Line, UNDER_MM};
-use crate::register::surface::normal_system::{Normal, cholesky};
+use crate::register::surface::normal_system::Normal;
 
 /// Standard deviation of the initial rest plane.
 const PLANE_SIGMA_MM: f64 = 1.0;
@@ -174,7 +174,7 @@ impl GelFit<'_> {
             });
         }
         g[DECAY] -= state.rest.log_decay / (DECAY_SIGMA * DECAY_SIGMA);
-        let step = cholesky(&h, &g).filter(|z| z.iter().all(|x| x.is_finite())).map(|z| {
+        let step = solve_definite(&h, &g).filter(|z| z.iter().all(|x| x.is_finite())).map(|z| {
             let length = sqrt(z[..6].iter().map(|x| x * x).sum());
             let longest_mm = self.problem.params.scaled(LONGEST_MM);
             let share = if length > longest_mm { longest_mm / length } else { 1.0 };

@@ -7,8 +7,7 @@
 //! selecting those that happen to lie near the part would bias the pose towards them.
 
 use super::lattice::{Lattice, Node, Relaxation, Sweeps};
-use crate::math::{DVec2, DVec3, exp, floor, sqrt};
-use crate::register::surface::normal_system::cholesky;
+use crate::math::{DVec2, DVec3, exp, floor, solve_definite, sqrt};
 use crate::register::surface::point::Sample;
 use alloc::vec::Vec;
 
@@ -115,7 +114,7 @@ impl Gel {
                     (i..3).for_each(|j| h[i][j] += weight * row[i] * row[j]);
                 }
             }
-            plane = cholesky(&h, &g).unwrap_or(plane);
+            plane = solve_definite(&h, &g).unwrap_or(plane);
         }
         plane
     }

@@ -7,17 +7,17 @@ use alloc::vec::Vec;
 
 /// Mask of one window and its components.
 #[derive(Clone, Debug, Default)]
-pub struct Pieces {
+pub struct WindowComponents {
     /// One bit per pixel, the first column in the lowest bit.
     rows: Vec<u64>,
-    piece: Vec<u64>,
+    component: Vec<u64>,
     runs: Vec<Run>,
 }
 
-impl Pieces {
+impl WindowComponents {
     /// Reserves memory for any window.
     pub fn reserve(&mut self) {
-        for rows in [&mut self.rows, &mut self.piece] {
+        for rows in [&mut self.rows, &mut self.component] {
             rows.clear();
             rows.reserve(MAX_ROI_PX);
         }
@@ -48,14 +48,15 @@ impl Pieces {
         let last_column = window.end.0 - window.first.0 - 1;
         let sides = 1_u64 | 1 << last_column;
         let last_row = self.rows.len() - 1;
-        let partial = self.piece.iter().any(|bits| bits & sides != 0)
-            || self.piece[0] != 0
-            || self.piece[last_row] != 0;
+        let partial = self.component.iter().any(|bits| bits & sides != 0)
+            || self.component[0] != 0
+            || self.component[last_row] != 0;
         self.runs.clear();
         let mut blob = Blob::EMPTY;
-        for (y, (row, piece)) in (window.first.1 as u16..).zip(self.rows.iter_mut().zip(&self.piece)) {
-            *row &= !piece;
-            let mut rest = *piece;
+        for (y, (row, component)) in (window.first.1 as u16..).zip(self.rows.iter_mut().zip(&self.component))
+        {
+            *row &= !component;
+            let mut rest = *component;
             while rest != 0 {
                 let start = rest.trailing_zeros();
                 let len = (!(rest >> start)).trailing_zeros();
@@ -78,15 +79,15 @@ impl Pieces {
     /// Fills `piece` with the component of the first pixel of row `seed`, sweeping down and up until
     /// nothing is added.
     fn flood(&mut self, seed: usize) {
-        let Self { rows, piece, .. } = self;
-        piece.clear();
-        piece.resize(rows.len(), 0);
-        piece[seed] = rows[seed] & rows[seed].wrapping_neg();
+        let Self { rows, component, .. } = self;
+        component.clear();
+        component.resize(rows.len(), 0);
+        component[seed] = rows[seed] & rows[seed].wrapping_neg();
         loop {
             let mut end = seed;
             while end < rows.len() {
-                grow(rows, piece, end, end.checked_sub(1));
-                if piece[end] == 0 {
+                grow(rows, component, end, end.checked_sub(1));
+                if component[end] == 0 {
                     break;
                 }
                 end += 1;
@@ -95,7 +96,7 @@ impl Pieces {
             // component is complete.
             let mut grown = false;
             for y in (seed..end).rev() {
-                grown |= grow(rows, piece, y, Some(y + 1));
+                grown |= grow(rows, component, y, Some(y + 1));
             }
             if !grown {
                 break;
@@ -105,9 +106,10 @@ impl Pieces {
 }
 
 /// Adds to a row of the component the pixels connected along the row or to row `from`; whether it grew.
-fn grow(rows: &[u64], piece: &mut [u64], y: usize, from: Option<usize>) -> bool {
-    let before = piece[y];
-    let mut here = before | from.and_then(|row| piece.get(row)).map_or(0, |&bits| widened(bits) & rows[y]);
+fn grow(rows: &[u64], component: &mut [u64], y: usize, from: Option<usize>) -> bool {
+    let before = component[y];
+    let mut here =
+        before | from.and_then(|row| component.get(row)).map_or(0, |&bits| widened(bits) & rows[y]);
     loop {
         let wider = widened(here) & rows[y];
         if wider == here {
@@ -115,7 +117,7 @@ fn grow(rows: &[u64], piece: &mut [u64], y: usize, from: Option<usize>) -> bool 
         }
         here = wider;
     }
-    piece[y] = here;
+    component[y] = here;
     here != before
 }
 
