@@ -132,7 +132,10 @@ impl BridgeRobot {
         loop {
             let answer = self.read_line(begun)?;
             let answer: Answer = serde_json::from_str(&answer).map_err(|error| RobotError::Device {
-                message: format!("{:?} is not an answer of the bridge's protocol: {error}", answer.trim_end()),
+                message: format!(
+                    "{:?} is not an answer of the bridge's protocol: {error}",
+                    answer.trim_end()
+                ),
             })?;
             if answer.id == self.id {
                 return match answer.error {
