@@ -105,7 +105,7 @@ def test_a_count_of_rounds_below_one_is_refused(capsys: pytest.CaptureFixture[st
         with pytest.raises(SystemExit) as stopped:
             main(["frontier", *words])
         assert stopped.value.code == 2
-        assert "valid is a whole number" in capsys.readouterr().err
+        assert "valid is an integer of 1 or more" in capsys.readouterr().err
 
 
 @pytest.mark.long
