@@ -52,10 +52,10 @@ fn follow_moving(method: RegisterMethod, seed: u64) -> [usize; 3] {
     [frames, wrong, searched]
 }
 
-/// Of twenty seeds 18, 10 and 6 % of the frames are wrong, by 13, 6 and 6 % a seed, and 21 of 3468 are searched.
+/// Of twenty seeds 10 and 6 % of the frames are wrong, by 6 and 6 % a seed.
 #[test]
 fn a_moving_part_is_followed() {
-    for (method, most) in METHODS.into_iter().zip([0.38, 0.19, 0.15]) {
+    for (method, most) in METHODS.into_iter().zip([0.19, 0.15]) {
         let all = (41..45).map(|seed| follow_moving(method, seed));
         let [frames, wrong, searched] = all.fold([0; 3], |a, b| core::array::from_fn(|i| a[i] + b[i]));
         assert!(frames > 200, "{frames}");

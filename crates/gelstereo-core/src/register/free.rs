@@ -1,6 +1,6 @@
 //! Readable names for the free directions of a contact.
 
-use super::observe::{Observability, Vector6, dot, halves, stack};
+use super::observe::{Observability, Vector6, add_outer, dot, halves, stack};
 use super::symmetry::Symmetry;
 use crate::math::linalg::{self, Symmetric};
 use crate::math::{DVec3, sqrt};
@@ -186,15 +186,9 @@ impl Subspace {
     fn free(seen: &Observability) -> Self {
         let mut space = Self { projection: [[0.0; 6]; 6] };
         for (u, _) in seen.directions.iter().zip(seen.values).filter(|(_, value)| *value == 0.0) {
-            space.add(u, 1.0);
+            add_outer(&mut space.projection, u, 1.0);
         }
         space
-    }
-
-    fn add(&mut self, u: &Vector6, sign: f64) {
-        for (row, ui) in self.projection.iter_mut().zip(u) {
-            row.iter_mut().zip(u).for_each(|(entry, uj)| *entry += sign * (ui * uj));
-        }
     }
 
     /// A 3x3 block: (0, 0) rotations, (3, 3) translations.
@@ -202,7 +196,7 @@ impl Subspace {
         core::array::from_fn(|i| core::array::from_fn(|j| self.projection[row + i][col + j]))
     }
 
-    /// Translations of which at least the share `least` lies in the space.
+    /// Translations of which at least the share `min_share` lies in the space.
     fn pure_translations(&self, min_share: f64) -> Axes {
         let eigen = linalg::eigen(&self.block(3, 3));
         let count = eigen.values.iter().filter(|&&share| share >= min_share).count();
@@ -211,11 +205,11 @@ impl Subspace {
 
     fn remove_translations(&mut self, slides: &Axes) {
         for v in slides.iter() {
-            self.add(&[0.0, 0.0, 0.0, v.x, v.y, v.z], -1.0);
+            add_outer(&mut self.projection, &stack(DVec3::ZERO, *v), -1.0);
         }
     }
 
-    /// Removes the twist (ω, v) from the space if at least the share `least` of it lies in there.
+    /// Removes the twist (ω, v) from the space if at least the share `min_share` of it lies in there.
     fn take(&mut self, omega: DVec3, v: DVec3, radius_mm: f64, min_share: f64) -> bool {
         let z = stack(omega * radius_mm, v);
         let mut inside: Vector6 = core::array::from_fn(|row| dot(&self.projection[row], &z));
@@ -223,7 +217,7 @@ impl Subspace {
         let is_inside = squared >= min_share * dot(&z, &z);
         if is_inside {
             inside.iter_mut().for_each(|x| *x /= sqrt(squared));
-            self.add(&inside, -1.0);
+            add_outer(&mut self.projection, &inside, -1.0);
         }
         is_inside
     }

@@ -40,11 +40,9 @@ pub struct Located {
 /// Localizes one part frame by frame.
 ///
 /// Tracking needs one start, from the previous pose. With the `register.method` `surface_search` it uses
-/// that method from one start, which includes the gel model. With `surface_close` it takes a few steps on
-/// the field of distances, and uses that method where these fail; with methods on samples it uses
-/// `surface_close`. The prior of the motion between frames is a tenth of the guess's
-/// (`register.start_sigma_deg`, `register.start_sigma_mm`), so that weakly determined directions do not
-/// drift.
+/// that method from one start, which includes the gel model; otherwise it uses `surface_close`. The prior
+/// of the motion between frames is a tenth of the guess's (`register.start_sigma_deg`,
+/// `register.start_sigma_mm`), so that weakly determined directions do not drift.
 ///
 /// If the gel model explained the contact in which the part was found, a pose is accepted while its
 /// [`Misfit`] is typical: as at earlier accepted poses and, at first, as expected from noise and
@@ -61,8 +59,8 @@ pub struct Located {
 #[derive(Clone, Debug)]
 pub struct Localizer {
     near: Registrar,
-    /// Rungs that track, fastest first.
-    follow: &'static [Rung],
+    /// By which it is tracked.
+    follow: Rung,
     search: Registrar,
     expected: Pose,
     last: Option<Pose>,
@@ -83,14 +81,10 @@ impl Localizer {
             start_sigma_mm: MOVED * params.start_sigma_mm,
             ..params.clone()
         };
-        let follow: &[Rung] = match params.method {
-            RegisterMethod::SurfaceSearch => &[Rung::Search],
-            RegisterMethod::SurfaceClose => &[Rung::Track, Rung::Close],
-            RegisterMethod::FilterregPoint | RegisterMethod::RansacIcp => &[Rung::Close],
-        };
+        let is_search = params.method == RegisterMethod::SurfaceSearch;
         Self {
             near: Registrar::new(&near),
-            follow,
+            follow: if is_search { Rung::Search } else { Rung::Close },
             search: Registrar::new(params),
             expected: *expected,
             last: None,
@@ -152,20 +146,19 @@ impl Localizer {
         stop: Stop<'_>,
     ) -> Result<Located, RegisterError> {
         if let Some(last) = self.last.filter(|_| self.is_held) {
-            for &rung in self.follow {
-                // Out of reach counts as lost; any other error recurs in the search.
-                let found = match self.near.register_by(Some(rung), contact, template, &last, stop) {
-                    Ok(found) => found,
-                    Err(RegisterError::Stopped) => return Err(RegisterError::Stopped),
-                    Err(_) => continue,
-                };
-                let mut followed = self.judge(found, contact, template, TrackingStatus::Tracking);
-                if followed.tracking == TrackingStatus::Tracking {
-                    // Free directions keep the uncertainty of the first guess, however long the part is
-                    // tracked.
-                    followed.registration.guess_sigma = self.search.params().guess_sigma();
-                    hold_free(&mut followed.registration, &last);
-                    return Ok(self.believe(followed));
+            // Out of reach counts as lost; any other error recurs in the search.
+            match self.near.register_by(Some(self.follow), contact, template, &last, stop) {
+                Err(RegisterError::Stopped) => return Err(RegisterError::Stopped),
+                Err(_) => {}
+                Ok(found) => {
+                    let mut followed = self.judge(found, contact, template, TrackingStatus::Tracking);
+                    if followed.tracking == TrackingStatus::Tracking {
+                        // Free directions keep the uncertainty of the first guess, however long the part
+                        // is tracked.
+                        followed.registration.guess_sigma = self.search.params().guess_sigma();
+                        hold_free(&mut followed.registration, &last);
+                        return Ok(self.believe(followed));
+                    }
                 }
             }
         }

@@ -105,36 +105,31 @@ impl Template {
     /// Replaces every point by a small square in its tangent plane, so that the surface rungs of
     /// registration work on a scan. No effect with an exact surface, or if the points give no surface.
     #[must_use]
-    pub fn with_surfels(self) -> Self {
-        if self.is_exact {
-            return self;
-        }
-        match self.surfels(NEVER) {
-            Ok(Some((solid, relief))) => {
-                let bare = Self { solid: Some(solid), relief: Some(relief), ..self };
-                bare.with_field(Self::DEFAULT_CELL_MM, Self::DEFAULT_REACH_MM)
-            }
-            _ => self,
-        }
+    pub fn with_surfels(mut self) -> Self {
+        // It is never stopped.
+        let _ = self.add_surfels(NEVER);
+        self
     }
 
     /// As [`Self::with_surfels`], unless it is stopped.
     ///
     /// # Errors
     /// [`Stopped`].
-    pub fn with_surfels_unless(self, stop: Stop<'_>) -> Result<Self, Stopped> {
-        if self.is_exact {
-            return Ok(self);
-        }
-        let Some((solid, relief)) = self.surfels(stop)? else {
-            return Ok(self);
-        };
-        let bare = Self { solid: Some(solid), relief: Some(relief), ..self };
-        bare.with_field_unless(Self::DEFAULT_CELL_MM, Self::DEFAULT_REACH_MM, stop)
+    pub fn with_surfels_unless(mut self, stop: Stop<'_>) -> Result<Self, Stopped> {
+        self.add_surfels(stop)?;
+        Ok(self)
     }
 
-    fn surfels(&self, stop: Stop<'_>) -> Result<Option<(Solid, Relief)>, Stopped> {
-        surfels(&self.points_mm, &self.normals, self.curvatures_per_mm(), self.spacing_mm, stop)
+    fn add_surfels(&mut self, stop: Stop<'_>) -> Result<(), Stopped> {
+        if self.is_exact {
+            return Ok(());
+        }
+        let Self { points_mm, normals, curvatures_per_mm, spacing_mm, .. } = self;
+        if let Some((solid, relief)) = surfels(points_mm, normals, curvatures_per_mm, *spacing_mm, stop)? {
+            (self.solid, self.relief) = (Some(solid), Some(relief));
+            self.add_field(Self::DEFAULT_CELL_MM, Self::DEFAULT_REACH_MM, stop)?;
+        }
+        Ok(())
     }
 
     /// Whether [`Self::with_surfels`] has built a surface.
@@ -199,8 +194,8 @@ impl Template {
     /// effect without a surface, or if the numbers give no grid.
     #[must_use]
     pub fn with_field(mut self, cell_mm: f64, reach_mm: f64) -> Self {
-        self.field =
-            self.solid.as_ref().and_then(|solid| Field::new(solid, cell_mm, reach_mm)).or(self.field);
+        // It is never stopped.
+        let _ = self.add_field(cell_mm, reach_mm, NEVER);
         self
     }
 
@@ -209,10 +204,16 @@ impl Template {
     /// # Errors
     /// [`Stopped`].
     pub fn with_field_unless(mut self, cell_mm: f64, reach_mm: f64, stop: Stop<'_>) -> Result<Self, Stopped> {
-        if let Some(solid) = &self.solid {
-            self.field = Field::new_unless(solid, cell_mm, reach_mm, stop)?.or(self.field);
-        }
+        self.add_field(cell_mm, reach_mm, stop)?;
         Ok(self)
+    }
+
+    fn add_field(&mut self, cell_mm: f64, reach_mm: f64, stop: Stop<'_>) -> Result<(), Stopped> {
+        let Some(solid) = &self.solid else { return Ok(()) };
+        if let Some(field) = Field::new_unless(solid, cell_mm, reach_mm, stop)? {
+            self.field = Some(field);
+        }
+        Ok(())
     }
 
     /// Without the distance grid.

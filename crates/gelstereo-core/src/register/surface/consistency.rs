@@ -39,7 +39,7 @@ impl Misfit {
     fn of(here: &Prediction) -> Self {
         let (mut markers, mut sum, mut sum_squares) = (0_usize, 0.0, 0.0);
         for (sight, &height_mm) in here.sights.iter().zip(&here.heights_mm) {
-            let square = (sight.residual_mm * sight.residual_mm / sight.variance_mm2).min(MAX_SQUARE);
+            let square = sight.square().min(MAX_SQUARE);
             let is_lifted = height_mm * height_mm > LIFTED * LIFTED * sight.variance_mm2;
             if sight.touches || is_lifted || square == MAX_SQUARE {
                 markers += 1;

@@ -164,10 +164,11 @@ pub(super) struct Samples {
 /// Which markers are used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Extent {
-    Salient,
-    /// Also the others around it, all of them: a selection would depend on the frame.
+    /// All around the patch: a selection would depend on the frame.
     Near,
+    /// Those around it, some of them in coarse passes.
     Around,
+    /// The same, and all markers as nodes of the gel.
     Gel,
 }
 
@@ -189,7 +190,7 @@ const HOLLOW: f64 = 3.0;
 pub(super) const NEIGHBOURS: usize = 6;
 
 impl Samples {
-    /// Fills in the salient points alone (fast), or all markers for a search from one start or from many.
+    /// Fills in the markers of a contact.
     pub fn fill(&mut self, contact: &Contact<'_>, params: &RegisterParams, extent: Extent) {
         let sigma_mm = params.point_sigma_mm;
         self.gel_scale = params.advanced.gel_scale;
@@ -213,21 +214,15 @@ impl Samples {
         if extent == Extent::Gel {
             self.fill_gel(contact);
         }
-        if extent != Extent::Salient {
-            self.find_hanging(contact);
-            // The first point's noise scales the step tolerance, so it must be the same one in every frame.
-            self.spread(if extent == Extent::Near { 1 } else { MEDIUM });
-            if extent == Extent::Near {
-                self.take_near(contact.unpressed_mm, isotropic);
-            } else {
-                self.take_unpressed(contact.unpressed_mm, isotropic);
-            }
-            self.find_neighbours(contact.press_direction);
+        self.find_hanging(contact);
+        // The first point's noise scales the step tolerance, so it must be the same one in every frame.
+        self.spread(if extent == Extent::Near { 1 } else { MEDIUM });
+        if extent == Extent::Near {
+            self.take_near(contact.unpressed_mm, isotropic);
         } else {
-            self.unpressed.clear();
-            self.neighbours.clear();
-            self.neighbours.extend((0..self.pressed.len() as u32).map(|k| [k; NEIGHBOURS]));
+            self.take_unpressed(contact.unpressed_mm, isotropic);
         }
+        self.find_neighbours(contact.press_direction);
     }
 
     /// Noise standard deviation of the salient points along a direction. The harmonic mean of the

@@ -58,8 +58,6 @@ use state::{Problem, Search};
 /// How a pose is found on the part's surface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Rung {
-    /// Steps on the field of distances, by the salient points alone.
-    Track,
     /// One start on the exact surface.
     Close,
     /// Many starts, with the gel's model.
@@ -69,7 +67,6 @@ pub(super) enum Rung {
 impl Rung {
     fn extent(self, solid: &Solid) -> Extent {
         match self {
-            Self::Track => Extent::Salient,
             Self::Close => Extent::Near,
             // On a surface with holes it is unknown what the gel meets first.
             Self::Search if solid.is_closed() => Extent::Gel,
@@ -108,10 +105,7 @@ pub(super) fn run(
     let (solid, ..) = template.touchable().ok_or(RegisterError::NoSurface)?;
     contact.check()?;
     let SurfaceScratch { raster, samples, candidates, distances, gel } = scratch;
-    let extent = rung.extent(solid);
-    let unpressed_mm = if extent == Extent::Salient { &[] } else { contact.unpressed_mm };
-    let ordered = raster.ordered(&Contact { unpressed_mm, ..*contact }, params.usual_pitch_mm());
-    samples.fill(&ordered, params, extent);
+    samples.fill(&raster.ordered(contact, params.usual_pitch_mm()), params, rung.extent(solid));
     let problem = input.problem(samples).ok_or(RegisterError::NoSurface)?;
     check_reach(&problem)?;
     distances.begin(samples);
@@ -123,15 +117,16 @@ pub(super) fn run(
         }
         Ok(assess::registration(&problem, objective, found, outcome))
     };
-    let outcome = match rung {
+    match rung {
         Rung::Search => {
             search.screen(candidates);
-            return search.finish(candidates, distances, gel, conclude);
+            search.finish(candidates, distances, gel, conclude)
         }
-        Rung::Track => search.track(&mut candidates.best, distances),
-        Rung::Close => search.close(&mut candidates.best, distances),
-    };
-    conclude(&mut DistanceObjective { scratch: distances }, &candidates.best, outcome)
+        Rung::Close => {
+            let outcome = search.close(&mut candidates.best, distances);
+            conclude(&mut DistanceObjective { scratch: distances }, &candidates.best, outcome)
+        }
+    }
 }
 
 /// Deviation of the markers from the gel model at a pose, after the first step at which it is usual, or

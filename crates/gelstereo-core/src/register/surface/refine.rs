@@ -155,7 +155,7 @@ impl<'a, D: Distances> Refinement<'a, D> {
             let mut accepted = false;
             for _ in 0..=self.halvings {
                 let next = candidate.placement.moved(omega * share, v * share);
-                end.work += self.read(&next, &mut scratch.there, Asked::Within);
+                end.work += self.read(&next, &mut scratch.there, 0, Asked::Within);
                 if self.cost(scratch, &scratch.there, &next) < cost {
                     candidate.placement = next;
                     core::mem::swap(&mut scratch.here, &mut scratch.there);
@@ -188,7 +188,7 @@ impl<'a, D: Distances> Refinement<'a, D> {
             && !(self.problem.stop)()
         {
             if end.iterations > 0 {
-                end.work += self.read(&candidate.placement, &mut scratch.here, Asked::Within);
+                end.work += self.read(&candidate.placement, &mut scratch.here, 0, Asked::Within);
             }
             end.iterations += 1;
             self.believe(scratch, Asked::Within);
@@ -216,7 +216,7 @@ impl<'a, D: Distances> Refinement<'a, D> {
     /// As [`Self::compare`], directly after a run.
     pub fn compare_ended(&self, placement: &Placement, scratch: &mut RefineScratch) -> (f64, u64) {
         self.forget(scratch);
-        let work = self.read_some(placement, &mut scratch.here, self.view.pressed.len(), Asked::Touching);
+        let work = self.read(placement, &mut scratch.here, self.view.pressed.len(), Asked::Touching);
         for k in 0..scratch.before.len() {
             if !scratch.here.all[k].can_touch {
                 scratch.before[k] = 0.0;
@@ -249,7 +249,7 @@ impl<'a, D: Distances> Refinement<'a, D> {
             }
         }
         self.forget(scratch);
-        self.view.unpressed.len() as u64 + self.read(placement, &mut scratch.here, Asked::Within)
+        self.view.unpressed.len() as u64 + self.read(placement, &mut scratch.here, 0, Asked::Within)
     }
 
     /// Resets the contact probabilities to their initial values.
@@ -261,13 +261,8 @@ impl<'a, D: Distances> Refinement<'a, D> {
         }
     }
 
-    /// Looks up all distances; returns the work.
-    fn read(&self, placement: &Placement, out: &mut Readings, asked: Asked) -> u64 {
-        self.read_some(placement, out, 0, asked)
-    }
-
-    /// The same for the markers from `first` on.
-    fn read_some(&self, placement: &Placement, out: &mut Readings, first: usize, asked: Asked) -> u64 {
+    /// Looks up the distances of the markers from `first` on; returns the work.
+    fn read(&self, placement: &Placement, out: &mut Readings, first: usize, asked: Asked) -> u64 {
         let press = press_in_object(placement, self.view.press_direction);
         let toward = self.view.press_direction;
         let surface_mm = self.problem.params.advanced.surface_sigma_mm;

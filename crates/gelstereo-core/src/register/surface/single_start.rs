@@ -1,10 +1,10 @@
-//! Single-start search from the guess: tracking, and refinement of a nearly known pose.
+//! Single-start search from the guess: refinement of a nearly known pose.
 
-use super::candidate::{Candidate, End};
+use super::candidate::Candidate;
 use super::coarse::{Clear, View};
 use super::refine::{RefineScratch, Refinement};
 use super::search::Outcome;
-use super::state::{Limits, Search};
+use super::state::Search;
 use crate::math::{exp, ln};
 use alloc::vec::Vec;
 
@@ -28,23 +28,8 @@ const HALVINGS: u32 = 0;
 /// and the part hardly moves by then.
 const SLIDE_REACH_MM: f64 = 1.0;
 const CLOSE_REACH_MM: f64 = 0.7;
-/// Field steps of tracking. From 0.5 degrees and 0.1 mm off, five succeed no more often and take a fifth
-/// longer. On successive frames, each started from the previous result, five leave one in fifty fewer wrong.
-const TRACK_STEPS: u32 = 3;
 
 impl Search<'_> {
-    /// Tracks from the guess, on the field.
-    pub fn track(&mut self, candidates: &mut Vec<Candidate>, scratch: &mut RefineScratch) -> Outcome {
-        let mut one = Candidate::at(self.problem.prior.guess);
-        let limits = Limits { max_steps: TRACK_STEPS, max_work: self.limit };
-        let end = Refinement::new(self.problem, self.problem.field).slide(&mut one, limits, scratch);
-        // The field has no curvature; without it facets would appear to determine a cylinder's spin.
-        let exact = Refinement::new(self.problem, self.problem.faces);
-        let (cost, work) = exact.compare(&one.placement, scratch);
-        self.work = end.work + work;
-        alone(Candidate { cost, ..one }, end, candidates)
-    }
-
     /// Refines the guess: on the field, then on the exact surface.
     pub fn close(&mut self, candidates: &mut Vec<Candidate>, scratch: &mut RefineScratch) -> Outcome {
         let (problem, params) = (self.problem, self.problem.params);
@@ -63,7 +48,10 @@ impl Search<'_> {
         let end = exact.run(&mut one, limits, scratch);
         let (cost, work) = exact.compare_ended(&one.placement, scratch);
         self.work += end.work + work;
-        alone(Candidate { cost, ..one }, end, candidates)
+        one.cost = cost;
+        candidates.clear();
+        candidates.push(one);
+        Outcome { end, read: one, is_cut: false, is_selected: false }
     }
 
     /// Coarse passes of decreasing width.
@@ -89,11 +77,4 @@ impl Search<'_> {
             }
         }
     }
-}
-
-/// The only candidate.
-fn alone(one: Candidate, end: End, candidates: &mut Vec<Candidate>) -> Outcome {
-    candidates.clear();
-    candidates.push(one);
-    Outcome { end, read: one, is_cut: false, is_selected: false }
 }

@@ -239,7 +239,7 @@ impl<'a> GelFit<'a> {
                 }
             };
             sight.variance_mm2 = variance + wrong_mm * wrong_mm + model;
-            let squared = sight.residual_mm * sight.residual_mm / sight.variance_mm2;
+            let squared = sight.square();
             let good = (1.0 - outliers) * exp(-0.5 * squared.min(1000.0))
                 / sqrt(core::f64::consts::TAU * sight.variance_mm2);
             let all = good + outliers / stray_mm;

@@ -1,7 +1,7 @@
 //! Refinement and judgement of a pose by the gel that it predicts.
 
 use super::fit::GelFit;
-use super::prediction::{GelFitScratch, KEPT};
+use super::prediction::{GelFitScratch, KEPT, LIFTED};
 use super::rest::{GelDecay, Rest};
 use crate::math::linalg::Symmetric;
 use crate::math::{DMat3, DVec3, exp, ln, sqrt};
@@ -39,8 +39,6 @@ const FITS: f64 = 0.8;
 const SHARP_MM: f64 = 0.05;
 /// Width on the field for poses after the best one, which are near convergence.
 const FIELD_MM: f64 = 0.1;
-/// Standard deviations over its rest height from which a marker is lifted.
-const LIFTED: f64 = 3.0;
 /// Standard deviations below the likelihood expected from noise at which the markers beside the part do
 /// not follow the gel model.
 const LAW_BROKEN: f64 = 3.0;

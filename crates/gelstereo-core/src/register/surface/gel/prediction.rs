@@ -36,6 +36,13 @@ pub(in crate::register::surface) struct Sight {
     pub weight: f64,
 }
 
+impl Sight {
+    /// Squared residual over its variance.
+    pub fn square(&self) -> f64 {
+        self.residual_mm * self.residual_mm / self.variance_mm2
+    }
+}
+
 /// Predictions of all nodes at one state.
 #[derive(Clone, Debug, Default)]
 pub(in crate::register::surface) struct Prediction {
@@ -55,8 +62,7 @@ impl Prediction {
     /// Mean squared residual over variance of the markers at the part. An outlier carries no information
     /// and counts as 1, the value expected from noise.
     pub fn misfit(&self) -> f64 {
-        let squared = |sight: &Sight| sight.residual_mm * sight.residual_mm / sight.variance_mm2;
-        mean(self.at_part().map(|s| s.weight * squared(s) + 1.0 - s.weight)).unwrap_or(f64::INFINITY)
+        mean(self.at_part().map(|s| s.weight * s.square() + 1.0 - s.weight)).unwrap_or(f64::INFINITY)
     }
 
     /// As [`Self::misfit`], for the markers in contact and those selected by their index. Outliers beyond the expected share are not due to chance; each counts `MAX_SQUARE`.
@@ -65,8 +71,7 @@ impl Prediction {
             let all = self.sights.iter().enumerate();
             all.filter(|(k, sight)| sight.touches || and(*k)).map(|(_, sight)| sight)
         };
-        let squared = |sight: &Sight| sight.residual_mm * sight.residual_mm / sight.variance_mm2;
-        let good = mean(tested().map(|s| s.weight * squared(s) + 1.0 - s.weight)).unwrap_or(1.0);
+        let good = mean(tested().map(|s| s.weight * s.square() + 1.0 - s.weight)).unwrap_or(1.0);
         let outliers = mean(tested().map(|s| 1.0 - s.weight)).unwrap_or(0.0);
         let unexpected = (outliers - outlier_share).max(0.0);
         MeanSquare { mean: good + unexpected * (MAX_SQUARE - 1.0), count: tested().count() as f64 }
