@@ -13,9 +13,8 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 /// Localizes one part frame by frame: tracks it, detects that it is lost, and finds it again.
 ///
 /// The pose is tracked from the previous frame on the part's exact surface. The ``register.method``
-/// "surface_search" also uses the gel model; "surface_close" first uses the grid of distances. Between
-/// frames the part is assumed to move by a tenth of ``register.start_sigma_deg`` and
-/// ``register.start_sigma_mm``.
+/// "surface_search" also uses the gel model. Between frames the part is assumed to move by a tenth of
+/// ``register.start_sigma_deg`` and ``register.start_sigma_mm``.
 ///
 /// If the gel model explained the contact in which the part was found, a pose is accepted while its
 /// `misfit` is as usual. Otherwise (not all markers given, or a gel that returns to rest within a pitch)
