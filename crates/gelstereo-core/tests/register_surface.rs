@@ -448,7 +448,7 @@ proptest! {
     fn any_contact_gets_a_finite_answer_or_an_error(
         points in prop::collection::vec(prop::array::uniform3(prop_oneof![-6.0..6.0_f64, any::<f64>(), Just(4.0)]), 0..30),
         rest in prop::collection::vec(prop::array::uniform3(-9.0..9.0_f64), 0..30),
-        omega in prop::array::uniform3(-3.0..3.0_f64), v in prop::array::uniform3(-8.0..8.0_f64), method in 0..3_usize,
+        omega in prop::array::uniform3(-3.0..3.0_f64), v in prop::array::uniform3(-8.0..8.0_f64), method in 0..2_usize,
     ) {
         let points: Vec<DVec3> = points.into_iter().map(DVec3::from_array).collect();
         let rest: Vec<DVec3> = rest.into_iter().map(DVec3::from_array).collect();
