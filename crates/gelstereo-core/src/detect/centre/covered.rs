@@ -1,7 +1,7 @@
 //! Centre uncertainty of partly covered markers.
 
 use crate::detect::markers::Markers;
-use crate::detect::mask::blob_filter::usual_area_px2;
+use crate::detect::mask::blob_filter::{AREA_SPREAD, usual_area_px2};
 use crate::image::{GrayView, reaches};
 use crate::math::{DVec2, abs, ceil, sqrt};
 use alloc::vec::Vec;
@@ -14,8 +14,6 @@ pub(in crate::detect) const GLARE_LEVEL: u8 = 250;
 const FEW: usize = 2;
 /// Width around a marker's outline that its centre depends on, pixels.
 const AROUND_PX: f64 = 3.0;
-/// Relative spread of the areas of uncovered markers, due to the light and to tilt on a pressed gel.
-const AREA_SPREAD: f64 = 0.2;
 /// Least share of a marker hidden by a reflection beside it, given where the reflection spreads.
 const MIN_HIDDEN: f64 = 0.1;
 /// Neighbours whose areas a marker is compared with: those around it on a square lattice.

@@ -7,7 +7,6 @@ use core::f64::consts::PI;
 /// blur σ leaves exp(-2 π² σ²) of a contrast that repeats with the pixels. The errors of an outline's
 /// pixels are independent and fall with the root of the radius. For discs of 2.5 to 6.5 px radius with
 /// exact pixel areas, under a total blur of 0.29 to 0.45 px, it gives the error of
-/// [`Centre::Matched`](crate::params::Centre::Matched) to 20 % and that of
 /// [`Centre::Fit`](crate::params::Centre::Fit), which assumes at least 0.35 px blur, to 50 %.
 const SHARP_PX: f64 = 0.065;
 /// A pixel's own width, 1 / √12 px: no image is sharper.

@@ -7,10 +7,10 @@ use alloc::vec::Vec;
 
 /// Least and largest marker area, as shares of the usual area. Smaller are specks of paint or noise,
 /// larger are edges of other objects.
-const SHARES_OF_AREA: (f64, f64) = (0.4, 2.0);
+pub(in crate::detect) const SHARES_OF_AREA: (f64, f64) = (0.4, 2.0);
 
 /// Relative spread of marker areas: a cut marker of the usual visible area may still lack this share.
-const AREA_SPREAD: f64 = 0.2;
+pub(in crate::detect) const AREA_SPREAD: f64 = 0.2;
 
 /// Area and shape limits of the markers of one image.
 #[derive(Clone, Copy, Debug, PartialEq)]

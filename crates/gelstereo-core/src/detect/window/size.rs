@@ -1,5 +1,7 @@
 //! Window dimensions for markers of one size.
 
+use crate::detect::mask::blob_filter::SHARES_OF_AREA;
+
 /// Largest number of rows and columns of a window.
 pub const MAX_WINDOW_PX: usize = 32;
 
@@ -13,9 +15,6 @@ const SLACK_PX: f64 = 3.0;
 /// is left ([`BAND`]), within a pixel of the outline.
 const SMALL_RADIUS_PX: f64 = 1.8;
 const SMALL_EDGE_AND_SLACK_PX: (f64, f64) = (1.25, 2.0);
-
-/// Least and largest marker area as shares of the usual area.
-const SHARES_OF_AREA: (f64, f64) = (0.4, 2.0);
 
 /// Markers of one size, and the windows around them.
 #[derive(Clone, Copy, Debug, PartialEq)]

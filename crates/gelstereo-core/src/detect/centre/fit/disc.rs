@@ -1,6 +1,7 @@
 //! A blurred, tilted disc on sloping ground: its parameters and the sums of a fit step.
 
 use super::edge::Edge;
+use super::extent::Extent;
 use super::lanes::{Lanes, Sum, WIDTH, inverse_root};
 use crate::image::GrayView;
 use crate::math::linalg::Symmetric;
@@ -102,39 +103,6 @@ pub(super) type Matrix = Symmetric<5>;
 pub(super) struct Pull {
     pub right: [f64; 5],
     pub residual2: f64,
-}
-
-/// Pixels within a circle around a pixel, clipped to the image.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-struct Extent {
-    /// Squared radius, px².
-    radius2: i64,
-    /// First and last column and row relative to the middle, limited by the image and the radius.
-    columns: (i64, i64),
-    rows: (i64, i64),
-}
-
-impl Extent {
-    /// Extent in an unbounded image.
-    fn whole(radius_px: f64) -> Self {
-        let extent = Self { radius2: (radius_px * radius_px) as i64, ..Self::default() };
-        let reach = extent.reach();
-        Self { columns: (-reach, reach), rows: (-reach, reach), ..extent }
-    }
-
-    fn reach(&self) -> i64 {
-        sqrt(self.radius2 as f64) as i64
-    }
-
-    /// First column and number of columns of each row.
-    fn spans(&self) -> impl Iterator<Item = (i64, i64, usize)> {
-        let Self { radius2, columns, rows } = *self;
-        (rows.0..=rows.1).map(move |y| {
-            let half = sqrt((radius2 - y * y).max(0) as f64) as i64;
-            let (first, last) = (columns.0.max(-half), columns.1.min(half));
-            (y, first, (last + 1 - first).max(0) as usize)
-        })
-    }
 }
 
 /// Pixels around a marker.

@@ -11,6 +11,7 @@ mod bessel;
 mod contour;
 mod disc;
 mod edge;
+mod extent;
 mod fitter;
 mod lanes;
 mod learn;
