@@ -316,6 +316,8 @@ fn a_key_that_does_not_exist_is_told_from_the_one_that_was_meant() {
         ("[tasks]\nlift_mm = 3", "line 1: there is no setting `tasks`; did you mean `task`?"),
         ("[params.register]\nransac_hypotheses = 9", "did you mean `params.register.ransac_icp.hypotheses`?"),
         ("[params.register]\nmethod = \"icp_plane\"", "did you mean `surface_close`?"),
+        ("[params.register]\nmethod = \"surface_track\"", "did you mean `surface_close`?"),
+        ("[params.contact]\nsaliency = \"pressure_quick\"", "did you mean `pressure`?"),
         ("[params]\npitch_mm = 1", "did you mean `params.lattice.pitch_mm`?"),
         ("[params.detect]\npitch_mm = 1", "did you mean `params.lattice.pitch_mm`?"),
         ("[params.detect.fit]\nblur = 1", "did you mean `params.detect.fit.blur_px`?"),
