@@ -17,12 +17,12 @@ const SETTINGS: [(&str, &str); 13] = [
     ("register.step_tolerance", "register.advanced.step_tolerance"),
 ];
 
-/// Methods that were dropped, by setting, and the one that is better in every respect.
+/// Methods that were dropped, by setting, and the one to use instead.
 const METHODS: [(&str, &str, &str); 6] = [
     ("contact.saliency", "pressure_quick", "pressure"),
     ("detect.background", "box", "blocks"),
     ("label.method", "temporal", "lattice"),
-    ("register.method", "filterreg_plane", "surface_close"),
+    ("register.method", "filterreg_plane", "surface_search"),
     ("register.method", "icp_plane", "surface_close"),
     ("register.method", "surface_track", "surface_close"),
 ];
