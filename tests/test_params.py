@@ -80,6 +80,9 @@ def test_replace_leaves_the_original_alone_and_none_restores_the_default() -> No
             r"unknown field `budget`.*register.budget is now register.surface_search.budget",
         ),
         ({"register.method": "icp_plane"}, r"unknown variant `icp_plane`.*icp_plane is now surface_close"),
+        ({"register.method": "filterreg_plane"}, r"filterreg_plane is now surface_search"),
+        ({"register.method": "surface_track"}, r"surface_track is now surface_close"),
+        ({"contact.saliency": "pressure_quick"}, r"pressure_quick is now pressure"),
         (
             {"contact.learn_decay": True, "contact.saliency": "depth"},
             r"contact.learn_decay = true requires contact.saliency = \"pressure\"",

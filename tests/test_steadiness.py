@@ -23,7 +23,7 @@ def contact() -> tuple[np.ndarray, Template, np.ndarray]:
     return points, template, pose
 
 
-@pytest.mark.parametrize("method", ["surface_close", "filterreg_point"])
+@pytest.mark.parametrize("method", ["surface_search", "filterreg_point"])
 def test_white_noise_scatters_as_predicted(method: str) -> None:
     points, template, pose = contact()
     random = np.random.default_rng(2)
@@ -43,7 +43,7 @@ def test_parabola_takes_out_motion_but_not_noise() -> None:
     for _ in range(20):
         moved = points + np.linspace(0.0, 1.0, 8)[:, None, None] ** 2 * [0.0, 0.0, 0.05]
         moved = moved + SIGMA_MM * random.normal(size=moved.shape)
-        ratios.append(scatter_over_time(moved, template, pose, 1, SIGMA_MM, "surface_close").ratio)
+        ratios.append(scatter_over_time(moved, template, pose, 1, SIGMA_MM, "surface_search").ratio)
     # 20 runs of 5 freedoms in 3 directions: 4.1 %; four of that.
     assert np.sqrt(np.mean(np.square(ratios))) == pytest.approx(1.0, abs=0.17)
 

@@ -145,8 +145,8 @@ def test_localize_finds_a_corner_within_its_own_covariance(box: trimesh.Trimesh)
     guess = truth @ se3_exp([0.03, -0.03, 0.02, 0.3, -0.3, 0.2])
     noise_mm = 0.03
     params = CLOSE.replace({"register.point_sigma_mm": noise_mm})
-    points = board_contact(truth, noise_mm)
-    found = localize(points, template, guess=guess, params=params)
+    points, way = board_contact(truth, noise_mm), truth[:3, :3].sum(axis=1)
+    found = localize(points, template, guess=guess, params=params, press_direction=way)
     assert found.converged
     assert found.free == ()
     assert found.points == 300
@@ -157,7 +157,7 @@ def test_localize_finds_a_corner_within_its_own_covariance(box: trimesh.Trimesh)
     # Squared Mahalanobis distance of six dimensions: 99.99 % lie below 27.9; a sampled template adds its own error
     # of up to the share of the spacing, so twice the deviation is granted.
     assert twist @ found.information @ twist < 4 * 27.9
-    again = localize(points, template, guess=guess, params=params)
+    again = localize(points, template, guess=guess, params=params, press_direction=way)
     assert again.digest == found.digest
 
 
@@ -168,7 +168,8 @@ def test_localize_names_what_a_cylinder_leaves_free() -> None:
     points = np.column_stack([4 * np.cos(angle), 4 * np.sin(angle), height]) + 0.01 * rng.normal(
         size=(200, 3)
     )
-    found = localize(points, template, guess=se3_exp([0.01, 0.01, 0, 0.1, 0.1, 0]), params=CLOSE)
+    guess = se3_exp([0.01, 0.01, 0, 0.1, 0.1, 0])
+    found = localize(points, template, guess=guess, params=CLOSE, press_direction=(1, 0, 0))
     words = [str(direction) for direction in found.free]
     assert [text.split()[:3] for text in words] == [["slide", "along", "z"], ["spin", "about", "z"]]
     slide, spin = found.free
@@ -249,7 +250,7 @@ def test_a_scan_with_noise_and_a_hole_is_told_of_and_used() -> None:
     assert np.abs(template.closest(points).distances_mm).max() < 0.1
     guess = np.eye(4)
     guess[:3, 3] = 0.2
-    found = localize(points[:200], template, guess=guess, params=CLOSE)
+    found = localize(points[:200], template, guess=guess, params=CLOSE, press_direction=(0, 0, 1))
     assert found.rmse_mm < 0.03
 
 

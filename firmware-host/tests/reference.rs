@@ -315,6 +315,8 @@ fn a_key_that_does_not_exist_is_told_from_the_one_that_was_meant() {
         ("[params.register]\nmethod = \"icp_plane\"", "did you mean `surface_close`?"),
         ("[params.detect]\ncentre = \"band\"", "did you mean `soft_threshold`?"),
         ("[params.detect]\ncentre = \"matched\"", "did you mean `fit`?"),
+        ("[params.register]\nmethod = \"surface_track\"", "did you mean `surface_close`?"),
+        ("[params.contact]\nsaliency = \"pressure_quick\"", "did you mean `pressure`?"),
         ("[params]\npitch_mm = 1", "did you mean `params.lattice.pitch_mm`?"),
         ("[params.detect]\npitch_mm = 1", "did you mean `params.lattice.pitch_mm`?"),
         ("[params.detect.fit]\nblur = 1", "did you mean `params.detect.fit.blur_px`?"),

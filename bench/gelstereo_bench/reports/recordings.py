@@ -53,7 +53,7 @@ SALIENCY_MM = float(Params().to_dict()["contact"]["saliency_mm"])
 _MIN_CORE = 8
 #: Number of frames in a stretch with little motion.
 _STILL = 8
-_METHOD = "surface_close"
+_METHOD = "surface_search"
 
 
 @dataclass(frozen=True)

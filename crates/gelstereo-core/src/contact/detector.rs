@@ -33,6 +33,7 @@ pub struct ContactDetector {
 }
 
 #[derive(Clone, Debug)]
+#[expect(clippy::large_enum_variant, reason = "there is one for each pipeline")]
 enum Rung {
     Depth,
     Pressure(Pressure),

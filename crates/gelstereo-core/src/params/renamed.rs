@@ -24,7 +24,7 @@ const METHODS: [(&str, &str, &str); 8] = [
     ("detect.centre", "band", "soft_threshold"),
     ("detect.centre", "matched", "fit"),
     ("label.method", "temporal", "lattice"),
-    ("register.method", "filterreg_plane", "surface_close"),
+    ("register.method", "filterreg_plane", "surface_search"),
     ("register.method", "icp_plane", "surface_close"),
     ("register.method", "surface_track", "surface_close"),
 ];
