@@ -12,13 +12,22 @@ import numpy.typing as npt
 
 __all__ = ["NOTED", "Case", "Evaluation", "Kind", "change", "kind_of"]
 
-Kind = Literal["share", "count", "error", "ratio"]
+Kind = Literal["share", "contact", "count", "strays", "error", "ratio"]
 
-#: By kind: the least change that a page tells. Shares are in points of a per cent, counts are as they are, errors
-#: and ratios are shares of the value.
-NOTED: dict[Kind, float] = {"share": 0.5, "count": 1.0, "error": 0.02, "ratio": 0.05}
+#: By kind: the least change that a page tells. Shares and contact's F1 are in points of a per cent, counts are as they
+#: are, errors and ratios are shares of the value.
+NOTED: dict[Kind, float] = {
+    "share": 0.5,
+    "contact": 1.0,
+    "count": 1.0,
+    "strays": 5.0,
+    "error": 0.02,
+    "ratio": 0.05,
+}
 _KINDS: tuple[tuple[str, Kind], ...] = (
+    ("F1, %", "contact"),
     ("%", "share"),
+    ("strays", "strays"),
     ("NEES", "ratio"),
     ("bound", "ratio"),
     ("um", "error"),
@@ -27,16 +36,17 @@ _KINDS: tuple[tuple[str, Kind], ...] = (
 
 
 def kind_of(name: str) -> Kind:
-    """How changes of a figure are told, by its unit, which ends its name."""
+    """How changes of a figure are told, by how its name ends."""
     return next((kind for end, kind in _KINDS if name.endswith(end)), "count")
 
 
 def change(name: str, default: float, other: float, least: float = 0.0) -> float:
     """Change in units of what is noted: 1 and more is told. `least` is what a figure's sample resolves."""
-    kind = kind_of(name)
     if np.isnan(default) or np.isnan(other):
-        return 0.0 if np.isnan(default) and np.isnan(other) else 1e3
-    scale = 1.0 if kind in ("share", "count") else max(abs(default), 1e-12)
+        # Nothing was found to take it of: other figures say so.
+        return 0.0
+    kind = kind_of(name)
+    scale = max(abs(default), 1e-12) if kind in ("error", "ratio") else 1.0
     return abs(other - default) / max(NOTED[kind] * scale, least)
 
 

@@ -11,11 +11,12 @@ from pathlib import Path
 
 from gelstereo_bench.sensitivity.source import Definition, Source, sources
 
-__all__ = ["BORROWED", "FIXED", "NOT_A_NUMBER", "build"]
+__all__ = ["BORROWED", "FIXED", "NESTED", "NOT_A_NUMBER", "build"]
 
 FIXED = "fixes a size"
 BORROWED = "borrowed as a whole table"
-NOT_A_NUMBER = "not a number"
+NESTED = "belongs to a type or a function"
+NOT_A_NUMBER = "a record of several settings"
 
 Key = tuple[str, str]
 
@@ -134,7 +135,9 @@ class _Rewriting:
                 if each.top and key not in self.by_key:
                     self.by_key[key] = each
         for key in self.listed:
-            if key not in self.by_key or not _NUMBER.search(self.by_key[key].type):
+            if key not in self.by_key:
+                self.left[key] = NESTED
+            elif not _NUMBER.search(self.by_key[key].type):
                 self.left[key] = NOT_A_NUMBER
         self.derived: set[Key] = set()
         self.settle()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from gelstereo_bench.sensitivity.figures import kind_of
+from gelstereo_bench.sensitivity.figures import change, kind_of
 from gelstereo_bench.sensitivity.results import Entry, Result
 
 __all__ = ["listed", "stated", "write"]
@@ -66,9 +66,8 @@ def _range(factors: list[str]) -> str:
 def _result(result: Result) -> str:
     if result.failed:
         return result.failed
-    if not result.figures:
-        return "no figure changes"
-    return _figure(*result.figures[0])
+    told = [each for each in result.figures if change(*each) >= 1.0]
+    return _figure(*told[0]) if told else "no figure changes"
 
 
 def _figure(name: str, default: float, found: float) -> str:
