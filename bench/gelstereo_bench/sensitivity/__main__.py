@@ -82,15 +82,25 @@ def main() -> int:
     parser.add_argument("--prune", action="store_true", help="drop constants that the source no longer has")
     parser.add_argument("--again", metavar="START", help="sweep anew the constants whose file begins so")
     parser.add_argument("--jobs", type=int, default=2, help="processes; 2 without")
+    parser.add_argument(
+        "--only", metavar="START", default="", help="sweep only constants whose file begins so"
+    )
+    parser.add_argument("--outer", action="store_true", help="try 0.5 and 2 alone, to save time")
     parser.add_argument("--measure", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()
     values = _values()
     if options.measure:
         # Needs the scratch build in place of gelstereo.
-        from gelstereo_bench.sensitivity.measure import measure
+        from gelstereo_bench.sensitivity.measure import Options, measure
 
         built = json.loads((SCRATCH / "built.json").read_text(encoding="utf-8"))
-        measure(RESULTS, built["values"], built["numbers"], built["left"], options.jobs)
+        measure(
+            RESULTS,
+            built["values"],
+            built["numbers"],
+            built["left"],
+            Options(options.jobs, options.outer, options.only),
+        )
         return 0
     entries = results.load(RESULTS)
     if options.prune:
@@ -110,6 +120,8 @@ def main() -> int:
     threads = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     environment = {**os.environ, **threads, "PYTHONPATH": os.pathsep.join(paths)}
     words = [sys.executable, "-m", "gelstereo_bench.sensitivity", "--measure", "--jobs", str(options.jobs)]
+    words += ["--only", options.only]
+    words += ["--outer"] if options.outer else []
     return subprocess.run(words, env=environment, check=False).returncode
 
 

@@ -7,6 +7,7 @@ import itertools
 import multiprocessing
 import os
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
@@ -17,12 +18,23 @@ from gelstereo_bench.sensitivity.figures import Case, Evaluation, change
 from gelstereo_bench.sensitivity.native import Constants
 from gelstereo_bench.sensitivity.results import Entry, Result
 
-__all__ = ["measure"]
+__all__ = ["Options", "measure"]
 
 #: A constant's evaluations may take so long before they count as endless, s.
 _PATIENCE_S = 240.0
 #: Figures that are kept for each factor.
 _KEPT = 3
+
+
+@dataclass(frozen=True)
+class Options:
+    """How much is tried, and on how many processes."""
+
+    jobs: int = 2
+    #: Only factors of 0.5 and 2.
+    outer: bool = False
+    #: Only constants whose file begins so.
+    only: str = ""
 
 
 @dataclass(frozen=True)
@@ -36,27 +48,31 @@ class _Loaded:
 
 def _load(name: str, constants: Constants, count: int) -> dict[str, _Loaded]:
     """All cases of a file, evaluated once."""
-    cases = importlib.import_module(f"gelstereo_bench.sensitivity.cases.{name}").load()
-    return {each: _evaluated(each, case, constants, count) for each, case in cases.items()}
+    cases: dict[str, Case] = importlib.import_module(f"gelstereo_bench.sensitivity.cases.{name}").load()
 
-
-def _evaluated(name: str, case: Case, constants: Constants, count: int) -> _Loaded:
     def read() -> set[int]:
         return {number for number in range(count) if constants.was_read(number)}
 
-    read()
-    case.prepare()
-    prepared = read()
-    default = case.evaluate()
-    found = read()
-    began = time.monotonic()
-    if case.evaluate().digest != default.digest:
-        raise RuntimeError(f"{name}: two evaluations differ")
-    print(
-        f"{name}: {time.monotonic() - began:.1f} s an evaluation, {len(prepared | found)} constants",
-        flush=True,
-    )
-    return _Loaded(case, default, prepared, found)
+    prepared: dict[Callable[[], None], set[int]] = {}
+    loaded = {}
+    for key, case in cases.items():
+        if case.prepare not in prepared:
+            read()
+            case.prepare()
+            prepared[case.prepare] = read()
+        read()
+        default = case.evaluate()
+        found = read()
+        began = time.monotonic()
+        if case.evaluate().digest != default.digest:
+            raise RuntimeError(f"{key}: two evaluations differ")
+        took_s = time.monotonic() - began
+        print(
+            f"{key}: {took_s:.1f} s an evaluation, {len(prepared[case.prepare] | found)} constants",
+            flush=True,
+        )
+        loaded[key] = _Loaded(case, default, prepared[case.prepare], found)
+    return loaded
 
 
 def _compared(default: Evaluation, found: Evaluation) -> Result:
@@ -78,27 +94,26 @@ def _short(value: float) -> float:
     return float(f"{value:.4g}")
 
 
-def _child(pipe: Connection, constants: Constants, number: int, cases: list[_Loaded]) -> None:
+def _child(pipe: Connection, constants: Constants, number: int, cases: list[_Loaded], outer: bool) -> None:
     """Send a result for each factor."""
     # Panics tell themselves.
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     most = 0.0
     for factor in results.FACTORS:
-        if factor not in (0.5, 2.0) and most < 1.0:
+        if factor not in (0.5, 2.0) and (outer or most < 1.0):
             break
-        merged = Result()
+        pipe.send(("begun", factor))
+        constants.scale(number, factor)
+        merged, prepared = Result(), set()
         for each in cases:
-            constants.scale(number, factor)
-            pipe.send(("begun", factor))
             try:
-                if number in each.prepared:
+                if number in each.prepared and each.case.prepare not in prepared:
+                    prepared.add(each.case.prepare)
                     each.case.prepare()
                 found = _compared(each.default, each.case.evaluate())
             except BaseException as error:
-                found = Result(
-                    1e3, True, [], "panics" if "Panic" in type(error).__name__ else type(error).__name__
-                )
-            constants.scale(number, 1.0)
+                panics = "Panic" in type(error).__name__
+                found = Result(1e3, True, [], "panics" if panics else type(error).__name__)
             merged = _merged(merged, found)
         most = max(most, merged.most)
         pipe.send(("done", factor, merged))
@@ -127,7 +142,7 @@ class _Running:
 
 
 def measure(
-    path: Path, values: dict[str, str], numbers: dict[str, int], left: dict[str, str], jobs: int
+    path: Path, values: dict[str, str], numbers: dict[str, int], left: dict[str, str], options: Options
 ) -> None:
     """Fill the file with what it lacks; every constant is written when it is done."""
     entries = results.load(path)
@@ -135,16 +150,16 @@ def measure(
     for key in todo:
         if key in left:
             entries[key] = Entry(values[key], left[key])
-    todo = [key for key in todo if key not in left]
+    todo = [key for key in todo if key not in left and key.startswith(options.only)]
     constants = Constants()
     files = dict.fromkeys(file for key in todo for file in STAGES[key.split("/")[0]])
     loaded = {file: _load(file, constants, len(numbers)) for file in files}
     waiting, done, began = iter(todo), 0, time.monotonic()
     running: list[_Running] = []
     while True:
-        for key in itertools.islice(waiting, jobs - len(running)):
+        for key in itertools.islice(waiting, options.jobs - len(running)):
             cases = {name: case for file in STAGES[key.split("/")[0]] for name, case in loaded[file].items()}
-            running.append(_begun(key, values[key], constants, numbers[key], cases))
+            running.append(_begun(key, values[key], constants, numbers[key], cases, options.outer))
         if not running:
             break
         wait([each.pipe for each in running], timeout=5.0)
@@ -158,13 +173,15 @@ def measure(
     results.save(path, entries)
 
 
-def _begun(key: str, value: str, constants: Constants, number: int, cases: dict[str, _Loaded]) -> _Running:
+def _begun(
+    key: str, value: str, constants: Constants, number: int, cases: dict[str, _Loaded], outer: bool
+) -> _Running:
     """Start the evaluations of one constant, in the cases that read it."""
     cases = {name: case for name, case in cases.items() if number in case.read | case.prepared}
     # Forked, so that data are loaded once, and an endless loop ends with its process.
     context = multiprocessing.get_context("fork")
     ours, theirs = context.Pipe(duplex=False)
-    process = context.Process(target=_child, args=(theirs, constants, number, list(cases.values())))
+    process = context.Process(target=_child, args=(theirs, constants, number, list(cases.values()), outer))
     process.start()
     theirs.close()
     return _Running(key, Entry(value, "", list(cases)), process, ours, time.monotonic())

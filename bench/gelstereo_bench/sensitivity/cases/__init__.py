@@ -7,8 +7,8 @@ __all__ = ["STAGES"]
 #: Cases of the constants in each folder of the core.
 STAGES: dict[str, tuple[str, ...]] = {
     "detect": ("images", "names"),
-    "lattice": ("images", "names"),
-    "track": ("images", "names"),
+    "lattice": ("images", "names", "labels"),
+    "track": ("images", "names", "labels"),
     "triangulate": ("images",),
     "contact": ("contacts", "images"),
     "register": ("poses",),

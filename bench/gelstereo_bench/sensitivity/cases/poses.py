@@ -65,15 +65,16 @@ class _Tally:
 
     def put(self, name: str, out: Evaluation) -> None:
         """Write the figures."""
-        one = 100.0 / max(len(self.right), 1)
-        out.put(f"{name}: right poses, %", 100.0 * float(np.mean(self.right)), _CASES * one)
-        out.put(f"{name}: median error over the bound", float(np.median(self.over_bound or [float("nan")])))
+        right = 100.0 * float(np.mean(self.right)) if self.right else float("nan")
+        out.put(f"{name}: right poses, %", right, _CASES * 100.0 / max(len(self.right), 1))
+        count = len(self.over_bound)
+        if not count:
+            return
+        median, one = float(np.median(self.over_bound)), 100.0 / count
+        # A median of few answers is known no better.
+        out.put(f"{name}: median error over the bound", median, 0.3 * median / np.sqrt(count))
         out.put(f"{name}: within the stated 95 %, %", self.nees.within, _CASES * one)
-        out.put(
-            f"{name}: right but doubted, %",
-            100.0 * float(np.mean(self.doubted)) if self.doubted else float("nan"),
-            _CASES * one,
-        )
+        out.put(f"{name}: right but doubted, %", 100.0 * float(np.mean(self.doubted)), _CASES * one)
 
 
 def _params(method: str) -> Params:
