@@ -23,7 +23,7 @@ __all__ = ["Options", "measure"]
 #: A constant's evaluations may take so long before they count as endless, s.
 _PATIENCE_S = 240.0
 #: Figures that are kept for each factor.
-_KEPT = 3
+_KEPT = 5
 
 
 @dataclass(frozen=True)
