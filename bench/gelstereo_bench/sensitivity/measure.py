@@ -87,7 +87,8 @@ def _compared(default: Evaluation, found: Evaluation) -> Result:
         for name in most[:_KEPT]
         if changes[name] >= 1.0
     ]
-    return Result(_short(changes[most[0]]), default.digest != found.digest, figures)
+    differs = default.digest != found.digest or changes[most[0]] > 0.0
+    return Result(_short(changes[most[0]]), differs, figures)
 
 
 def _short(value: float) -> float:

@@ -124,7 +124,7 @@ def _followed(grasp: Grasp, template: Template, out: Evaluation) -> None:
         except Error:
             out.see([k])
             continue
-        out.see(found.t_sensor_object, found.information)
+        out.see([found.digest])
         right += int(moved.score(np.asarray(found.t_sensor_object)).success)
     out.put("followed: right poses, %", 100.0 * right / _SEQUENCE_FRAMES, _CASES * 100.0 / _SEQUENCE_FRAMES)
 
@@ -169,7 +169,7 @@ def load() -> dict[str, Case]:
             for law, seed, grasp in every[:: trial.every]:
                 found = _tried(grasp, templates[grasp.part], grasp.guess(trial.start, seed), params)
                 if found is not None:
-                    out.see(found.t_sensor_object, found.information, [len(found.alternatives)])
+                    out.see([found.digest])
                 where = "simulated" if law == "simulated" else "other laws"
                 tallies[f"{trial.method}, {where}"].add(grasp, found)
             for name, tally in tallies.items():
