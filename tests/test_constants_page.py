@@ -5,10 +5,22 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+from gelstereo_bench.sensitivity import results
+from gelstereo_bench.sensitivity.page import stated
+from gelstereo_bench.sensitivity.source import sources
+
 REPOSITORY = Path(__file__).parents[1]
 PAGE = REPOSITORY / "docs" / "constants.md"
 CORE = REPOSITORY / "crates" / "gelstereo-core" / "src"
-COLUMNS = ["file", "value", "what it decides", "chosen on", "range tried and effect"]
+RESULTS = REPOSITORY / "bench" / "gelstereo_bench" / "sensitivity" / "results.json"
+COLUMNS = [
+    "file",
+    "value",
+    "what it decides",
+    "chosen on",
+    "reason in the source",
+    "range tried and effect",
+]
 STAGES = ["detect", "lattice", "track", "triangulate", "contact", "register", "pipeline"]
 CHOSEN_ON = {
     "simulated images",
@@ -75,3 +87,39 @@ def test_values_are_those_of_the_source() -> None:
         if " ".join(value.split()) not in found:
             wrong.append(f"{file}: {name} is {found}, not {value}")
     assert wrong == []
+
+
+def test_every_constant_was_swept_with_the_value_that_it_has() -> None:
+    """A new constant, or one with another value: `python -m gelstereo_bench.sensitivity`, then with `--page`."""
+    entries, files = results.load(RESULTS), sources(CORE)
+    told = {row[0].strip("`"): row[5] for row in rows()}
+    wrong = []
+    for file, name, value in constants():
+        key = results.key_of(file, name)
+        entry = entries.get(key)
+        if entry is None:
+            wrong.append(f"{key} was never swept")
+        elif entry.value != " ".join(value.split()):
+            wrong.append(f"{key} was swept as {entry.value}, and is {value}")
+        elif told[key] != stated(entry):
+            wrong.append(f"{key}: the page does not say what was measured")
+        elif not (entry.reason or {"0.5", "2"} <= set(entry.results) or not entry.read):
+            wrong.append(f"{key} has no range, and no reason")
+    assert wrong == []
+    assert sorted(set(entries) - set(told)) == []
+    # What the tool reads of the source is what this file reads of it.
+    for file, name, value in constants():
+        found = [files[file].value(each) for each in files[file].definitions if each.name == name]
+        assert " ".join(value.split()) in found, (file, name)
+
+
+def test_the_factors_were_applied() -> None:
+    """Constants that cannot be without effect: half of them, or twice, changes a figure."""
+    entries = results.load(RESULTS)
+    moved = {
+        key for key, entry in entries.items() if any(each.most >= 1.0 for each in entry.results.values())
+    }
+    for stage in STAGES:
+        assert any(key.startswith(f"{stage}/") for key in moved), stage
+    swept = [entry for entry in entries.values() if entry.results]
+    assert len(swept) >= 0.8 * len(entries)

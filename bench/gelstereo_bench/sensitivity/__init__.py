@@ -1,0 +1,1 @@
+"""How much every picked constant of the core matters: each is changed in a scratch build, and its stage measured."""
