@@ -55,7 +55,9 @@ def main(package: str, target: str) -> None:
     for one in known["packages"]:
         if one["id"] in theirs:
             name = f"{one['name']} {one['version']} ({one['license'] or 'see its text'})"
-            for text in texts(Path(one["manifest_path"])) or {"The crate carries no text; its licence is the one named above."}:
+            for text in texts(Path(one["manifest_path"])) or {
+                "The crate carries no text; its licence is the one named above."
+            }:
                 carriers[text].append(name)
     for text, names in sorted(carriers.items(), key=lambda entry: entry[1]):
         print("\n".join(sorted(names)), text, "=" * 80, sep="\n\n")

@@ -121,7 +121,7 @@ def test_a_guess_that_is_not_finite_is_told_where(box: Template) -> None:
         for entry in entries:
             guess[entry] = np.nan
         row, column = min(entries)
-        told = f"t_sensor_object: {len(entries)} of 16 entries are NaN.* row {row}, column {column}: NaN"
+        told = f"guess: {len(entries)} of 16 entries are NaN.* row {row}, column {column}: NaN"
         with pytest.raises(PoseError, match=told):
             localize(salient, box, guess=guess)
         with pytest.raises(PoseError, match=told):

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import argparse
 import sys
+import warnings
 from pathlib import Path
 
-from gelstereo import Frame, Pipeline, Rig
+from gelstereo import Frame, Pipeline, PitchWarning, Rig
 from gelstereo.cli.files import read_image
 from gelstereo.cli.options import add_params, params_of
 
@@ -80,7 +81,10 @@ def calibrate_images(arguments: argparse.Namespace) -> LayersCalibration:
     pipeline = Pipeline(rig, params)
 
     def frame(left: Path, right: Path) -> Frame:
-        return pipeline.process(read_image(left), read_image(right))
+        with warnings.catch_warnings():
+            # The layers are not yet known, and the pitch is checked with those that are found.
+            warnings.simplefilter("ignore", PitchWarning)
+            return pipeline.process(read_image(left), read_image(right))
 
     frames = [SeatedFrame.from_frame(frame(*pair)) for pair in arguments.rest]
     for height, left, right in sorted(arguments.board, key=lambda board: protrusion(board[0])):
