@@ -90,6 +90,13 @@ impl<T: Scaled> Scaled for core::ops::RangeInclusive<T> {
         from.scaled(factor, integers)..=to.scaled(factor, integers)
     }
 }
+
+impl<T: Scaled> Scaled for core::ops::Range<T> {
+    const FLOAT: bool = T::FLOAT;
+    fn scaled(self, factor: f64, integers: bool) -> Self {
+        self.start.scaled(factor, integers)..self.end.scaled(factor, integers)
+    }
+}
 """
 _DOORS = """
 use core::sync::atomic::Ordering::Relaxed;
