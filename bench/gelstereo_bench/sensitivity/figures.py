@@ -29,7 +29,6 @@ NOTED: dict[Kind, float] = {
 _COARSE: dict[str, dict[Kind, float]] = {
     "surface_search": {"share": 11.0, "ratio": 0.2},
     "surface_close": {"share": 5.0, "ratio": 0.1},
-    "surface_track": {"share": 5.0, "ratio": 0.1},
 }
 #: By a word in the name, points: two registrations more or less are chance.
 _CHANCE = {"right poses": 6.0, "believed": 10.0}

@@ -36,7 +36,6 @@ _RUNGS: dict[str, tuple[str, dict[str, Any]]] = {
     "paper": ("paper", {}),
     "grey": ("balanced", {"detect": {"centre": "grey", "search": "whole"}}),
     "pressure": ("balanced", {"contact": {"saliency": "pressure", "learn_decay": True}}),
-    "quick": ("balanced", {"contact": {"saliency": "pressure_quick"}}),
 }
 _RUNG_SCENES = 3
 #: Sequences that show what the others do not: the rest would take as long again.

@@ -32,8 +32,6 @@ class _Trial:
 _TRIALS = (
     _Trial("surface_search", Start("", 20.0, 3.5), 3),
     _Trial("surface_close", Start("", 5.0, 1.0)),
-    _Trial("surface_track", Start("", 0.5, 0.1)),
-    _Trial("filterreg_plane", Start("", 5.0, 1.0), 9),
     _Trial("filterreg_point", Start("", 5.0, 1.0), 18),
     _Trial("ransac_icp", Start("", 2.0, 0.5), 36),
 )
@@ -98,7 +96,7 @@ def _tried(grasp: Grasp, template: Template, guess: Array, params: Params) -> Lo
 def _followed(grasp: Grasp, template: Template, out: Evaluation) -> None:
     """A part that turns and slides in the hand, frame after frame; then it is lost."""
     localizer = Localizer(
-        template, t_sensor_object=grasp.guess(Start("", 5.0, 1.0), 1), params=_params("surface_search")
+        template, guess=grasp.guess(Start("", 5.0, 1.0), 1), params=_params("surface_search")
     )
     right = 0
     for k in range(_SEQUENCE_FRAMES):

@@ -41,8 +41,8 @@ const fn offset(row: isize, col: isize) -> usize {
 /// Covariances of the pressures of a lattice, row by row.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Covariances {
-    /// With the markers at the offsets `SHARED`, and 0 for none.
-    shared: Vec<[f64; SHARED.len() + 1]>,
+    /// With the markers at the offsets `SHARED`.
+    shared: Vec<[f64; SHARED.len()]>,
 }
 
 impl Covariances {
@@ -54,7 +54,7 @@ impl Covariances {
     pub fn measure(&mut self, lattice: &Stencils, variance_mm2: &[f64]) {
         let (cols, stencils) = (lattice.cols, &lattice.weights);
         self.shared.clear();
-        self.shared.resize(stencils.len(), [0.0; SHARED.len() + 1]);
+        self.shared.resize(stencils.len(), [0.0; SHARED.len()]);
         for (k, &variance) in variance_mm2.iter().enumerate() {
             let [_, left, right, up, down] = stencils[k].map(|weight| weight != 0.0);
             // Markers whose stencils include this one, and its weight there: above, left, itself, right,
@@ -94,7 +94,8 @@ impl Covariances {
             };
             for &other in &places[..=k] {
                 let (row, col) = AROUND[other];
-                noise.among[place][other] = self.shared[lattice.beside(i, row, col)][PAIRS[place][other]];
+                let shared = &self.shared[lattice.beside(i, row, col)];
+                noise.among[place][other] = shared.get(PAIRS[place][other]).copied().unwrap_or(0.0);
             }
         }
         noise.predict(places, pressure_mm)

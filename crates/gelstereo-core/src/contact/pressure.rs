@@ -39,8 +39,8 @@ pub struct Pressure {
     covariances: Covariances,
     /// Whether all heights behind a pressure were seen.
     valid: Vec<bool>,
-    /// Pressures divided by their standard deviations.
-    score: Vec<f64>,
+    /// Pressures divided by their standard deviations; then the evidence of contact, such a score squared
+    /// with its sign.
     evidence: Vec<f64>,
     asked: Vec<bool>,
     next: Vec<bool>,
@@ -118,8 +118,8 @@ impl Pressure {
 
     /// Reserves all memory: the first contact may come late.
     fn reserve(&mut self, markers: usize) {
-        let Self { variance_mm2, pressure_mm, noise_mm2, score, evidence, .. } = self;
-        [variance_mm2, pressure_mm, noise_mm2, score, evidence]
+        let Self { variance_mm2, pressure_mm, noise_mm2, evidence, .. } = self;
+        [variance_mm2, pressure_mm, noise_mm2, evidence]
             .into_iter()
             .for_each(|list| list.reserve(markers));
         let Self { covariances, valid, asked, next, regions, .. } = self;
@@ -146,19 +146,17 @@ impl Pressure {
         out.clear();
         self.check(indentation_mm, variance_mm2, state)?;
         self.measure(indentation_mm, state);
-        out.extend(self.score.iter().map(|&score| score > START));
+        out.extend(self.evidence.iter().map(|&score| score > START));
         if !self.begin(out) {
             return Ok(());
         }
         self.covariances.measure(&self.stencils, &self.variance_mm2);
-        let Self { next, evidence, score, .. } = self;
-        next.clear();
-        next.extend_from_slice(out);
-        evidence.clear();
-        evidence.extend(score.iter().map(|&score| score * abs(score)));
+        self.next.clear();
+        self.next.extend_from_slice(out);
+        self.evidence.iter_mut().for_each(|score| *score *= abs(*score));
         for _ in 0..ROUNDS {
             for i in 0..out.len() {
-                if self.asked[i] && UNCERTAIN.contains(&self.score[i]) {
+                if self.asked[i] && UNCERTAIN.contains(&self.score(i)) {
                     self.next[i] = self.judge(i, indentation_mm[i], out);
                 }
             }
@@ -201,8 +199,8 @@ impl Pressure {
 
     /// Pressures and their scores; 0 where a height is missing.
     fn measure(&mut self, indentation_mm: &[f64], state: &[MarkerState]) {
-        let Self { stencils, variance_mm2, pressure_mm, noise_mm2, valid, score, .. } = self;
-        [&mut *pressure_mm, &mut *noise_mm2, &mut *score].into_iter().for_each(Vec::clear);
+        let Self { stencils, variance_mm2, pressure_mm, noise_mm2, valid, evidence, .. } = self;
+        [&mut *pressure_mm, &mut *noise_mm2, &mut *evidence].into_iter().for_each(Vec::clear);
         valid.clear();
         for i in 0..variance_mm2.len() {
             let (mut pressure, mut noise, mut seen) = (0.0, 0.0, true);
@@ -214,9 +212,13 @@ impl Pressure {
             let pressure = if seen { pressure } else { 0.0 };
             pressure_mm.push(pressure);
             noise_mm2.push(noise);
-            score.push(pressure / sqrt(noise));
+            evidence.push(pressure / sqrt(noise));
             valid.push(seen);
         }
+    }
+
+    fn score(&self, i: usize) -> f64 {
+        self.pressure_mm[i] / sqrt(self.noise_mm2[i])
     }
 
     /// Selects the markers on both sides of a contact's rim, and those that free neighbours do not
@@ -231,7 +233,7 @@ impl Pressure {
                 for (k, _) in self.stencils.taps(i).filter(|&(k, _)| !contact[k]) {
                     (self.asked[i], self.asked[k]) = (true, true);
                 }
-            } else if self.score[i] > 0.0 && self.stands_out(i) {
+            } else if self.pressure_mm[i] > 0.0 && self.stands_out(i) {
                 any = true;
                 self.asked[i] = true;
             }
