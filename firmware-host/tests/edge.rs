@@ -93,10 +93,10 @@ fn a_blade_that_covers_the_gel_goes_in_after_it_touched_a_known_face() {
 /// Only the left and the right side can be brought to the wall, each once: the third touch is the end's.
 #[test]
 fn the_end_touches_a_level_face_where_both_sides_do_not_tell_enough() {
-    let report = run(&with_wall(18));
+    let report = run(&with_wall(19));
     assert!(matches!(report.outcome, Outcome::Declined { .. }), "{}", report.why);
     assert_eq!(touches(&report), 2);
-    let report = run(&with_wall_and_floor(18));
+    let report = run(&with_wall_and_floor(19));
     assert!(inserted(&report), "{}", report.why);
     assert_eq!(touches(&report), 3);
     let truth = report.truth.unwrap();
@@ -136,8 +136,8 @@ fn an_interrupted_touch_stops_the_robot() {
 #[test]
 fn a_round_peg_does_not_touch_a_face_that_is_there() {
     let mut config = quick(1);
-    config.simulated.hole_diameter_mm = 8.02;
-    config.task.clearance_mm = Some(0.02);
+    config.simulated.hole_diameter_mm = 8.012;
+    config.task.clearance_mm = Some(0.012);
     (config.task.look_sigma_mm, config.task.look_sigma_rad) = (0.001, 1e-4);
     let without = run(&config);
     config.task.edges = vec![wall()];

@@ -16,8 +16,8 @@ fn count(report: &JobReport, stage: Stage) -> usize {
 /// um.
 fn tight(seed: u64, max_looks: u32) -> JobReport {
     let mut config = quick(seed);
-    config.simulated.hole_diameter_mm = 8.02;
-    config.task.clearance_mm = Some(0.02);
+    config.simulated.hole_diameter_mm = 8.012;
+    config.task.clearance_mm = Some(0.012);
     config.task.max_looks = max_looks;
     // The simulated robot is exact, and the simulated holder holds the peg but along the closing direction.
     (config.task.look_sigma_mm, config.task.look_sigma_rad) = (0.001, 1e-4);

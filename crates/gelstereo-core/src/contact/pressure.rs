@@ -119,9 +119,7 @@ impl Pressure {
     /// Reserves all memory: the first contact may come late.
     fn reserve(&mut self, markers: usize) {
         let Self { variance_mm2, pressure_mm, noise_mm2, evidence, .. } = self;
-        [variance_mm2, pressure_mm, noise_mm2, evidence]
-            .into_iter()
-            .for_each(|list| list.reserve(markers));
+        [variance_mm2, pressure_mm, noise_mm2, evidence].into_iter().for_each(|list| list.reserve(markers));
         let Self { covariances, valid, asked, next, regions, .. } = self;
         covariances.reserve(markers);
         [valid, asked, next].into_iter().for_each(|list| list.reserve(markers));
