@@ -218,7 +218,7 @@ def test_row_06_patches_that_cannot_be_registered(box: trimesh.Trimesh) -> None:
             localize(points, template, guess=np.eye(4))
     with pytest.raises(TypeError, match="guess"):
         localize(np.zeros((10, 3)), template)  # type: ignore[call-arg]
-    with pytest.raises(ShapeError, match=r"t_sensor_object has the shape \(3, 3\); valid is \(4, 4\)"):
+    with pytest.raises(ShapeError, match=r"guess has the shape \(3, 3\); valid is \(4, 4\)"):
         localize(np.zeros((10, 3)), template, guess=np.eye(3))
 
 

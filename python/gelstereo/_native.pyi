@@ -44,6 +44,8 @@ __all__ = [
     "Params",
     "ParamsError",
     "Pipeline",
+    "PitchCheck",
+    "PitchWarning",
     "Plan",
     "PlannedEffect",
     "PoseError",

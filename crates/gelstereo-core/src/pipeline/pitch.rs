@@ -33,7 +33,7 @@ impl PitchCheck {
     #[must_use]
     pub fn is_absurd(&self) -> bool {
         let ratio = self.measured_mm / self.expected_mm;
-        !(ratio >= 1.0 / ABSURD && ratio <= ABSURD)
+        !(1.0 / ABSURD..=ABSURD).contains(&ratio)
     }
 
     /// Whether the difference is beyond what noise and a print's scale explain.
