@@ -44,12 +44,12 @@ _KINDS: tuple[tuple[str, Kind], ...] = (
 
 
 def kind_of(name: str) -> Kind:
-    """How changes of a figure are told, by how its name ends."""
+    """The kind of a figure, by the end of its name."""
     return next((kind for end, kind in _KINDS if name.endswith(end)), "count")
 
 
 def change(name: str, default: float, other: float, least: float = 0.0) -> float:
-    """Change in units of what is noted: 1 and more is told. `least` is what a figure's sample resolves."""
+    """Change over the smallest one worth reporting. `least` is the smallest that the sample can resolve."""
     if np.isnan(default) or np.isnan(other):
         # Nothing was found to take it of: other figures say so.
         return 0.0

@@ -14,6 +14,7 @@ mod detect;
 mod errors;
 mod frames;
 mod geometry;
+mod given;
 mod gripper;
 mod interrupt;
 mod lattice;

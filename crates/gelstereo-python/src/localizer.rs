@@ -1,8 +1,9 @@
 //! Localization of one part over many frames.
 
 use crate::arrays::{self, Matrix};
+use crate::given::Given;
 use crate::params::Params;
-use crate::register::{Gel, Given, Localization};
+use crate::register::{Gel, Localization};
 use crate::template::Template;
 use gelstereo_core::params::RegisterMethod;
 use gelstereo_core::register as core;

@@ -16,7 +16,7 @@ EXAMPLES = """examples:
   gelstereo template plug.stl --units m --save plug.template               to localize with, without the mesh
   gelstereo template scan.ply --units mm --output preview.png              points with outward normals
 
-Faces that are inside out are turned; holes and symmetries are told of. STEP files say their unit themselves.
+Faces that point inward are turned. Holes and symmetries are reported. STEP files contain their unit.
 """
 
 #: Number of axes printed in full; a cube has thirteen.
