@@ -28,6 +28,7 @@ explore: export PROPTEST_CASES ?= 200
 test-rust: prerequisites
 	$(PYTHON) .ci/imports.py crates/gelstereo-core/src
 	cargo fmt --all --check
+	@! git grep -nP '^.{111,}' -- '*.rs' || { echo 'the lines above have more than 110 columns'; exit 1; }
 	cargo clippy --workspace --all-targets --quiet -- -D warnings
 	cargo test --workspace --quiet
 	cargo build --quiet --manifest-path tests/no_std_probe/Cargo.toml --target-dir target/no_std_probe
@@ -72,7 +73,7 @@ test-long: prerequisites $(BIN)/python
 
 # Not beside tests that keep a camera's pace: on two cores the builds made their watchdogs act.
 long-builds:
-	cargo build --quiet --workspace --bin gelstereo-host --features $(LIVE_FEATURES)
+	cargo build --quiet --config .ci/live.toml --workspace --bin gelstereo-host --features $(LIVE_FEATURES)
 	cargo build --quiet --manifest-path tests/ros_peer/Cargo.toml --target-dir $(ROS_PEER)
 
 # Digests of results on other processors and builds.

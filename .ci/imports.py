@@ -1,4 +1,5 @@
-"""Checks which file of the core imports which: no cycle of files, and no folder that imports from one above it.
+"""Checks which file of the core imports which: no cycle of files, and no folder that imports from one above
+it.
 
 usage: imports.py SOURCE_FOLDER
 """
@@ -18,6 +19,7 @@ FLOORS = (
     ("frames", "spatial", "camera"),
     ("rig", "surface"),
     ("params",),
+    ("color",),
     ("detect",),
     ("lattice",),
     ("track",),

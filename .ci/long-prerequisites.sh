@@ -1,7 +1,7 @@
 #!/bin/sh
-# What the long tests need besides the build's prerequisites, as Debian packages, installed when root: QEMU with module
-# tools for the device tests, GStreamer and ffmpeg as feeders, torch for LeRobot's datasets.
-# Where they cannot be installed those tests are skipped and say so; with CI=true the device tests fail instead.
+# What the long tests need besides the build's prerequisites, as Debian packages, installed when root: QEMU
+# with module tools for the device tests, GStreamer and ffmpeg as feeders, torch for LeRobot's datasets. Where
+# they cannot be installed those tests are skipped and say so; with CI=true the device tests fail instead.
 set -u
 packages="qemu-system-x86 busybox-static kmod cpio zstd gstreamer1.0-tools gstreamer1.0-plugins-base ffmpeg"
 packages="$packages python3-venv python3-torch python3-torchvision"

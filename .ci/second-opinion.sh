@@ -1,5 +1,6 @@
 #!/bin/sh
-# mrcal, the second opinion on calibration: a Debian package. Where it cannot be installed its test is skipped.
+# mrcal, the second opinion on calibration: a Debian package. Where it cannot be installed its test is
+# skipped.
 command -v mrcal-calibrate-cameras >/dev/null && exit 0
 if command -v apt-get >/dev/null && [ "$(id -u)" = 0 ]; then
     log=$(mktemp)

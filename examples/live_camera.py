@@ -2,8 +2,9 @@
 
     python examples/live_camera.py --camera 0 --rig rig.toml --pitch-mm 0.8
 
-Nothing may touch the gel when the program starts. Ctrl-C ends it. `gelstereo live` does more: it shows and records.
-`gelstereo.cameras` reads cameras with their timestamps, and survives unplugging; OpenCV does neither.
+Nothing may touch the gel when the program starts. Ctrl-C ends it. `gelstereo live` does more: it shows and
+records. `gelstereo.cameras` reads cameras with their timestamps, and survives unplugging; OpenCV does
+neither.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
     python examples/part_from_mesh.py scenes/parts/usb_plug.stl --units mm --turn-deg 90 0 0
 
-The part's origin is pressed towards the middle of the gel, after it was turned. Try the ways in which the gripper holds
-your part. STEP files contain their unit: leave out --units.
+The part's origin is pressed towards the middle of the gel, after it was turned. Try the ways in which the
+gripper holds your part. STEP files contain their unit: leave out --units.
 """
 
 from __future__ import annotations

@@ -1,7 +1,9 @@
 #!/bin/sh
 # Runs every fuzz target for so many seconds (default 10), with libFuzzer's coverage from stable rustc.
+#
 # usage: fuzz/run.sh [SECONDS [TARGET...]]
-# What a target finds is written to fuzz/found/TARGET-*; run `fuzz/run.sh 0 TARGET` to see it again with a file there.
+#
+# Inputs that fail are written to fuzz/found/TARGET-*. `fuzz/run.sh 0 TARGET` repeats them.
 set -eu
 cd "$(dirname "$0")"
 seconds=${1:-10}
@@ -18,7 +20,9 @@ done
 host=$(rustc -vV | sed -n 's/^host: //p')
 RUSTFLAGS="$coverage --cfg fuzzing" cargo build --release --quiet --target "$host"
 [ $# -gt 0 ] || set -- $(for source in fuzz_targets/*.rs; do basename "$source" .rs; done)
-for target in "$@"; do
+
+fuzz() {
+    target=$1
     mkdir -p "corpus/$target" found
     # From nothing, inputs grow by bytes, and a slow target would meet no more than its first choices.
     for seed in 1 2 3 4 5 6 7 8; do
@@ -33,6 +37,20 @@ for target in "$@"; do
     else
         tail -n 40 "$log" >&2
         echo "$target: see fuzz/found/" >&2
-        exit 1
+        return 1
     fi
+}
+
+# Two at a time, each on a processor of its own.
+failed=0
+while [ $# -gt 0 ]; do
+    fuzz "$1" &
+    beside=$!
+    shift
+    if [ $# -gt 0 ]; then
+        (fuzz "$1") || failed=1
+        shift
+    fi
+    wait "$beside" || failed=1
 done
+exit $failed

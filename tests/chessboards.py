@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from gelstereo.calibrate.solve import board_points_mm
+from gelstereo.calibrate import Chessboard
 
 Array = npt.NDArray[np.float64]
 
@@ -55,7 +55,7 @@ class TrueRig:
 def board_poses(count: int, seed: int = 1, tilt_rad: float = 0.5) -> list[tuple[Array, Array]]:
     """Poses of the board before the rig, tilted to all sides, the whole board in both views."""
     random = np.random.default_rng(seed)
-    centre_mm = board_points_mm(BOARD, SQUARE_MM).mean(axis=0)
+    centre_mm = Chessboard(BOARD, SQUARE_MM).points_mm().mean(axis=0)
     poses = []
     for _ in range(count):
         turn = np.append(random.uniform(-tilt_rad, tilt_rad, 2), random.uniform(-0.3, 0.3))
@@ -70,7 +70,7 @@ def corner_views(
 ) -> tuple[list[Array], list[Array]]:
     """Corners of all poses in both views, with Gaussian noise."""
     random = np.random.default_rng(seed)
-    points_mm = board_points_mm(BOARD, SQUARE_MM)
+    points_mm = Chessboard(BOARD, SQUARE_MM).points_mm()
     views: tuple[list[Array], list[Array]] = ([], [])
     for rotation, translation_mm in poses:
         for view, exact in zip(views, rig.views(rotation, translation_mm, points_mm), strict=True):
@@ -81,8 +81,8 @@ def corner_views(
 def draw_pair(
     rig: TrueRig, pose: tuple[Array, Array], board: tuple[int, int] = BOARD
 ) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint8]]:
-    """Images of a board in both views; the squares have straight edges, so use it where a hundredth of a pixel in
-    the lens distortion does not matter."""
+    """Images of a board in both views; the squares have straight edges, so use it where a hundredth of a
+    pixel in the lens distortion does not matter."""
     cols, rows = board
     images = []
     for view in range(2):

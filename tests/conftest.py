@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import signal
+import subprocess
+from pathlib import Path
 
 import hypothesis
 import pytest
@@ -39,3 +42,15 @@ def noisy_press() -> list[gelstereo.SimulatedFrame]:
         }
     )
     return [simulator[index] for index in range(len(simulator))]
+
+
+@pytest.fixture(scope="session")
+def host_run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict]:
+    """The path of a recording by `gelstereo-host run`, and the run's own summary."""
+    from test_recording_readers import host_binary
+
+    path = tmp_path_factory.mktemp("recording") / "run.mcap"
+    command = [host_binary(), "run", "--record", str(path), "--json"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return path, json.loads(done.stdout)

@@ -1,7 +1,7 @@
 """Stereo frames drawn without the simulator: printed discs on a gel, and what a camera sees around the gel.
 
-The gel takes the shape of what is pressed into it and returns to rest exponentially. The truth is exact: a marker is
-where its point of the gel projects to.
+The gel takes the shape of what is pressed into it and returns to rest exponentially. The truth is exact: a
+marker is where its point of the gel projects to.
 """
 
 from __future__ import annotations

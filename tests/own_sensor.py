@@ -1,6 +1,8 @@
-"""Images that a user takes of a sensor of their own: chessboards, the gel at rest and on boards, and a part pressed in.
+"""Images that a user takes of a sensor of their own: chessboards, the gel at rest and on boards, and a part
+pressed in.
 
-They are simulated. The cameras are those of `chessboards.TrueRig`; plate and gel bend the light in front of them.
+They are simulated. The cameras are those of `chessboards.TrueRig`; plate and gel bend the light in front of
+them.
 """
 
 from __future__ import annotations

@@ -1,4 +1,6 @@
-"""What has no meaning is refused by an error of gelstereo that says what would be valid, and never becomes NaN."""
+"""What has no meaning is refused by an error of gelstereo that says what would be valid, and never becomes
+NaN.
+"""
 
 from __future__ import annotations
 

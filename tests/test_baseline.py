@@ -59,8 +59,8 @@ def detect_both(press: list[gelstereo.SimulatedFrame], centre: str) -> tuple[np.
 def test_binary_centres_agree(press: list[gelstereo.SimulatedFrame]) -> None:
     ours, theirs = detect_both(press, "binary")
     distance = np.linalg.norm(ours - theirs, axis=1)
-    # The two round the blurred images differently, by a level at most: a pixel at the threshold of a marker of about
-    # 50 moves its centre by a 50th of its distance, 5 px at most. Two such pixels are rare.
+    # The two round the blurred images differently, by a level at most: a pixel at the threshold of a marker
+    # of about 50 moves its centre by a 50th of its distance, 5 px at most. Two such pixels are rare.
     assert distance.max() < 0.25
     assert np.median(distance) < 0.025
 

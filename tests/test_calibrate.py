@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+import re
+import shutil
 from pathlib import Path
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 import pytest
 from chessboards import BOARD, SIZE_PX, SQUARE_MM, TrueRig, board_poses, corner_views, draw_pair, write_pairs
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 from real_data import DATA, needs
 
 import gelstereo
 from gelstereo import calibrate
+from gelstereo.calibrate.checks import _refuse_swapped_views
 from gelstereo.calibrate.corner_worker import find_corners
 from gelstereo.calibrate.corners import CornerFinder, Corners, neighbouring_boards
 from gelstereo.calibrate.observe import Observation, align
-from gelstereo.calibrate.solve import board_points_mm
 
 CHESS = DATA / "opencv_stereo_chess"
 NOISE_PX = 0.1
@@ -69,7 +75,8 @@ def test_truth_is_found_within_the_corner_noise(rig: TrueRig) -> None:
 def test_held_out_errors_are_those_of_the_noise(rig: TrueRig) -> None:
     held_out = solve(*corners(rig)).held_out
     assert held_out is not None
-    # The right corner's own noise, plus the left board pose's: at least one, at most a few times sqrt(2) sigma.
+    # The right corner's own noise, plus the left board pose's: at least one, at most a few times sqrt(2)
+    # sigma.
     assert np.sqrt(2.0) * NOISE_PX < held_out.transfer_px < 4.0 * NOISE_PX
     assert abs(held_out.square_bias_mm) < held_out.square_mm < 0.05 * SQUARE_MM
 
@@ -84,7 +91,8 @@ def test_rig_triangulates_the_board_and_survives_its_file(rig: TrueRig, tmp_path
     np.testing.assert_array_equal(loaded.left_matrix, found.rig.left_matrix)
     np.testing.assert_array_equal(loaded.right_distortion, found.rig.right_distortion)
     points_mm = gelstereo.triangulate(loaded, left[0], right[0]).reshape(BOARD[1], BOARD[0], 3)
-    # One pixel of disparity is 0.23 mm at 32 mm; sqrt(2) corners of 0.1 px leave 0.03 mm along z, less across.
+    # One pixel of disparity is 0.23 mm at 32 mm; sqrt(2) corners of 0.1 px leave 0.03 mm along z, less
+    # across.
     side_mm = np.linalg.norm(np.diff(points_mm, axis=1), axis=-1)
     assert side_mm.mean() == pytest.approx(SQUARE_MM, abs=0.02)
     assert side_mm.std() < 0.06
@@ -131,6 +139,23 @@ def test_swapped_cameras_are_refused(rig: TrueRig) -> None:
     left, right = corners(rig)
     with pytest.raises(calibrate.SwappedViewsError, match="exchange the left and the right"):
         solve(right, left)
+
+
+@given(arrays(float, 3, elements=st.floats(-1.0, 1.0)), st.floats(0.0, np.pi), st.floats(0.0, 6.3))
+def test_views_are_swapped_if_the_right_camera_is_to_the_left(
+    turn: npt.NDArray[np.float64], off_rad: float, around_rad: float
+) -> None:
+    """Within 60 degrees of the left camera's negative x axis, however much the two are turned."""
+    assume(abs(off_rad - np.deg2rad(60.0)) > 1e-6)
+    beside = np.sin(off_rad) * np.array([np.cos(around_rad), np.sin(around_rad)])
+    centre_mm = 8.0 * np.array([-np.cos(off_rad), *beside])
+    rotation = cv2.Rodrigues(turn)[0]
+    pose = (rotation, -rotation @ centre_mm)
+    if off_rad < np.deg2rad(60.0):
+        with pytest.raises(calibrate.SwappedViewsError, match=re.escape(f"({centre_mm[0]:.2f}")):
+            _refuse_swapped_views(pose)
+    else:
+        _refuse_swapped_views(pose)
 
 
 def test_parallel_boards_are_reported_as_undetermined(rig: TrueRig) -> None:
@@ -186,11 +211,27 @@ def test_images_without_numbers_pair_in_order_and_only_when_as_many() -> None:
         calibrate.pair_images(["la.png", "lb.png"], ["ra.png"])
 
 
-def test_lists_given_in_the_wrong_order_are_refused(folder: Path) -> None:
-    with pytest.raises(calibrate.SwappedViewsError, match="left images are named right"):
-        calibrate.pair_images(images(folder, "right"), images(folder, "left"))
+def test_a_file_for_both_views_is_refused(folder: Path) -> None:
     with pytest.raises(calibrate.UnpairedImagesError, match="as left and as right"):
         calibrate.pair_images(images(folder, "left"), images(folder, "left"))
+
+
+def test_geometry_decides_and_names_warn(folder: Path, tmp_path: Path) -> None:
+    # Files named the wrong way round: one of the two orders calibrates, and its hint says that names are
+    # wrong.
+    paths: dict[str, list[Path]] = {"left": [], "right": []}
+    for view, other in (("left", "right"), ("right", "left")):
+        for path in images(folder, view):
+            paths[other].append(tmp_path / path.name.replace(view, other))
+            shutil.copy(path, paths[other][-1])
+    settings = {"board": BOARD, "square_mm": SQUARE_MM}
+    with pytest.raises(calibrate.SwappedViewsError, match="exchange the left and the right images, whatever"):
+        calibrate.calibrate_stereo(paths["left"], paths["right"], **settings)
+    found = calibrate.calibrate_stereo(paths["right"], paths["left"], **settings)
+    assert found.baseline_mm == pytest.approx(8.0, rel=0.02)
+    assert "named right (right01.png)" in found.hints[0] and "the names are wrong" in found.hints[0]
+    right_order = calibrate.calibrate_stereo(images(folder, "left"), images(folder, "right"), **settings)
+    assert not any("named" in hint for hint in right_order.hints)
 
 
 @pytest.mark.parametrize("limit_s", [0.0, -1.0, float("nan"), float("inf"), 1e12])
@@ -264,12 +305,31 @@ def test_errors_derive_from_the_package_error() -> None:
 
 def test_drawn_corners_are_where_they_should_be(rig: TrueRig) -> None:
     pose = board_poses(1)[0]
-    truth = rig.views(*pose, board_points_mm(BOARD, SQUARE_MM))
+    truth = rig.views(*pose, calibrate.Chessboard(BOARD, SQUARE_MM).points_mm())
     for image, exact in zip(draw_pair(rig, pose), truth, strict=True):
         found = find_corners(image, BOARD, "classic")
         assert found is not None
         error = min(np.abs(found - exact).max(), np.abs(found[::-1] - exact).max())
         assert error < 0.1
+
+
+@given(
+    depth_mm=st.floats(30.0, 95.0),
+    turn=st.tuples(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5), st.floats(-0.7, 0.7)),
+    seed=st.integers(0, 99),
+)
+@settings(max_examples=25, deadline=None)
+def test_corners_of_small_squares(depth_mm: float, turn: tuple[float, ...], seed: int) -> None:
+    # Squares of 9 to 30 px under noise of 3 levels. A window of 2 px gives errors of 0.2 to 0.5 px rms.
+    rig, points_mm = TrueRig.typical(), calibrate.Chessboard(BOARD, SQUARE_MM).points_mm()
+    rotation = np.asarray(cv2.Rodrigues(np.array(turn))[0], float)
+    pose = rotation, np.array([3.0, 0.0, depth_mm]) - rotation @ points_mm.mean(axis=0)
+    noise = np.random.default_rng(seed).normal(0.0, 3.0, SIZE_PX[::-1])
+    image = np.clip(draw_pair(rig, pose)[0] + noise, 0, 255).astype(np.uint8)
+    found, truth = find_corners(image, BOARD, "classic"), rig.views(*pose, points_mm)[0]
+    if found is None:
+        return
+    assert min(np.sqrt(np.mean((found - truth) ** 2)), np.sqrt(np.mean((found[::-1] - truth) ** 2))) < 0.1
 
 
 @needs("opencv_stereo_chess")

@@ -56,7 +56,9 @@ def seat(
     reach: int = 4,
     printed: np.ndarray | float = 0.0,
 ) -> SeatedFrame:
-    """A frame at rest with the print's errors, or on a board under (2 reach + 1)² markers, which it drags by 50 um."""
+    """A frame at rest with the print's errors, or on a board under (2 reach + 1)² markers, which it drags by
+    50 um.
+    """
     rows, cols = np.divmod(np.arange(ROWS * COLS), COLS)
     if height_mm > 0.0:
         under = (abs(rows - ROWS // 2) <= reach) & (abs(cols - COLS // 2) <= reach)

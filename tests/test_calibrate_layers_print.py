@@ -172,7 +172,9 @@ def swapped(places: Array) -> Array:
 
 
 def distorted(toml: str) -> str:
-    """Lenses that were calibrated wrong by 1.4 px at the sides of the image; a tenth of it goes into the gap."""
+    """Lenses that were calibrated wrong by 1.4 px at the sides of the image; a tenth of it goes
+    into the gap.
+    """
     return toml.replace("distortion = [0.0,", "distortion = [0.01,")
 
 

@@ -1,4 +1,6 @@
-"""The command line: examples in every help, one line for every error, and results that other programs can read."""
+"""The command line: examples in every help, one line for every error, and results that other programs can
+read.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,6 @@ from test_templates import ball_points, write_scan
 from gelstereo import Scene, Template, simulate
 from gelstereo.cli import main
 from gelstereo.cli.main import COMMANDS
-from gelstereo.cli.progress import progress
 from gelstereo.geometry import se3_exp
 
 SCENE = """
@@ -123,7 +124,7 @@ def test_localize_from_images_and_from_points(folder: Path, capsys: pytest.Captu
 
 @pytest.mark.parametrize("kind", [".npy", ".ply", ".csv", ".txt"])
 def test_point_clouds_of_every_kind(kind: str, tmp_path: Path) -> None:
-    from gelstereo.cli.files import read_points
+    from gelstereo.point_files import read_points
 
     points = np.random.default_rng(0).normal(size=(20, 3)).astype(np.float32).astype(np.float64)
     path = tmp_path / f"cloud{kind}"
@@ -231,15 +232,6 @@ def test_ctrl_c_stops_without_a_traceback(
     assert capsys.readouterr().err == "\nstopped\n"
 
 
-def test_progress_is_for_people(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    assert list(progress([1, 2, 3], "counting")) == [1, 2, 3]
-    assert capsys.readouterr().err == ""
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
-    assert list(progress([1, 2], "counting")) == [1, 2]
-    assert capsys.readouterr().err.endswith(f"\rcounting [{'#' * 32}] 2/2\n")
-    assert list(progress([], "counting")) == []
-
-
 def test_the_installed_program_runs_the_demo(tmp_path: Path) -> None:
     command = [sys.executable, "-c", "import sys; from gelstereo.cli import main; sys.exit(main())", "demo"]
     picture = tmp_path / "demo.png"
@@ -247,8 +239,8 @@ def test_the_installed_program_runs_the_demo(tmp_path: Path) -> None:
     assert done.stderr == ""
     lines = dict(line.split(maxsplit=1) for line in done.stdout.splitlines())
     assert lines["free"].startswith("slide along z; spin about z")
-    # Simulated, with noise. The pose's own covariance has standard deviations of 0.064 deg and 0.012 mm; within three
-    # and two and a half of them.
+    # Simulated, with noise. The pose's own covariance has standard deviations of 0.064 deg and 0.012 mm;
+    # within three and two and a half of them.
     degrees, millimetres = float(lines["error"].split()[0]), float(lines["error"].split()[2])
     assert degrees < 0.19
     assert millimetres < 0.03

@@ -90,7 +90,9 @@ def test_values_are_those_of_the_source() -> None:
 
 
 def test_every_constant_was_swept_with_the_value_that_it_has() -> None:
-    """A new constant, or one with another value: `python -m gelstereo_bench.sensitivity`, then with `--page`."""
+    """A new constant, or one with another value: `python -m gelstereo_bench.sensitivity`, then
+    with `--page`.
+    """
     entries, files = results.load(RESULTS), sources(CORE)
     told = {row[0].strip("`"): row[5] for row in rows()}
     wrong = []

@@ -1,4 +1,6 @@
-"""Detection against the same method in OpenCV, and hard case 30: images that are none, or have nothing to show."""
+"""Detection against the same method in OpenCV, and hard case 30: images that are none, or have nothing to
+show.
+"""
 
 from __future__ import annotations
 
@@ -32,8 +34,9 @@ def test_centres_are_opencvs(noisy_press: list[SimulatedFrame]) -> None:
         assert len(found) == len(centres) == 625
         order = [int(np.argmin(np.linalg.norm(centres - c, axis=1))) for c in found.centres_px]
         assert sorted(order) == list(range(625))
-        # Fixed-point filters are within 1/64 of a level, so that only pixels on the very threshold may differ:
-        # a marker has 40 pixels, 1/64 level is crossed by few of them, and one pixel at 4 px moves a centroid by 0.1.
+        # Fixed-point filters are within 1/64 of a level, so that only pixels on the very threshold may
+        # differ: a marker has 40 pixels, 1/64 level is crossed by few of them, and one pixel at 4 px moves a
+        # centroid by 0.1.
         differing = found.area_px2.astype(int) != area[order]
         assert differing.mean() < 0.02
         assert np.abs(found.centres_px - centres[order])[~differing].max() < 1e-9
@@ -65,8 +68,8 @@ def test_blur_is_opencvs(kernels: tuple[int, int]) -> None:
                 }
             )
             mask = Detector(params).mask(image)
-            # Each blur is within 1/64 of a level. Farther from the threshold than two of those, and up to the image's
-            # border, both must decide alike.
+            # Each blur is within 1/64 of a level. Farther from the threshold than two of those, and up to the
+            # image's border, both must decide alike.
             sure = np.abs(difference - threshold) > 2 / 64
             assert sure.mean() > 0.98
             assert np.array_equal(mask[sure], (difference >= threshold)[sure])
@@ -109,7 +112,9 @@ def test_components_are_opencvs(threshold: int) -> None:
         (np.zeros((48, 64), np.int8), ImageError, "int8"),
         (np.zeros((48, 64), np.uint16), ImageError, "uint16"),
         (np.zeros((48, 64), bool), ImageError, "bool"),
-        (np.zeros((48, 64, 3), np.uint8), ImageError, "cvtColor"),
+        (np.zeros((48, 64, 3), np.uint8), DetectError, "black"),
+        (np.zeros((48, 64, 2), np.uint8), ImageError, "of blue, green and red"),
+        (np.zeros((48, 64, 4), np.uint8), ImageError, "cvtColor"),
         (np.zeros(64, np.uint8), ImageError, r"\(64,\)"),
         ([[1, 2], [3, 4]], ImageError, "list"),
         (None, ImageError, "NoneType"),
@@ -158,22 +163,3 @@ def test_results_are_read_only(noisy_press: list[SimulatedFrame]) -> None:
         with pytest.raises(ValueError, match="read-only"):
             array[...] = 0
     assert found.centres_px is found.centres_px  # made once
-
-
-@pytest.mark.parametrize("background", ["gaussian", "blocks"])
-def test_near_expected_positions_the_same_markers_are_found(
-    noisy_press: list[SimulatedFrame], background: str
-) -> None:
-    detector = Detector(
-        PAPER.replace(detect={"background": background, "threshold": "auto", "centre": "grey"})
-    )
-    image = noisy_press[-1].left
-    whole = detector.detect(image)
-    assert len(whole) == 625
-    expected = whole.centres_px + [1.5, -2.0]
-    markers, sights = detector.detect_near(image, np.vstack([expected, [[5.0, 5.0], [-50.0, 5.0]]]), 8.8)
-    assert np.array_equal(sights, [*range(625), -1, -3])
-    assert np.array_equal(markers.centres_px, whole.centres_px)
-    assert np.array_equal(markers.area_px2, whole.area_px2)
-    between = (whole.centres_px[:1] + whole.centres_px[1:2]) / 2
-    assert np.array_equal(detector.detect_near(image, between, 15.0)[1], [-2])

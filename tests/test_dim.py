@@ -1,4 +1,6 @@
-"""Row 46: dim prints and uneven light, on discs that NumPy draws, beside plain OpenCV (`bench/outside/discs.py`)."""
+"""Row 46: dim prints and uneven light, on discs that NumPy draws, beside plain OpenCV
+(`bench/outside/discs.py`).
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""What the help of a command shows as an example runs as it stands, in a folder with the files that it names."""
+"""What the help of a command shows as an example runs as it stands, in a folder with the files
+that it names.
+"""
 
 from __future__ import annotations
 
@@ -15,9 +17,11 @@ import numpy as np
 import pytest
 import trimesh
 from chessboards import TrueRig, write_pairs
+from test_calibrate_tags import write as write_tags
 from test_templates import ball_points, write_scan
 
 from gelstereo import simulate
+from gelstereo.calibrate import AprilTagBoard, CharucoBoard
 from gelstereo.cli import main
 from gelstereo.cli.extras import module_of
 from gelstereo.cli.main import COMMANDS
@@ -86,9 +90,25 @@ def test_examples_of_scenes_run(words: list[str], tmp_path: Path, monkeypatch: p
 
 
 def test_examples_of_calibration_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write_pairs(tmp_path, TrueRig.typical(), 5)
-    monkeypatch.chdir(tmp_path)
+    tags = {"charuco:8x6": CharucoBoard((8, 6), 4.0, 3.0), "apriltag:6x4": AprilTagBoard((6, 4), 3.0, 1.0)}
+    for board in ("9x6", *tags):
+        folder = tmp_path / board.replace(":", "_")
+        folder.mkdir()
+        if board in tags:
+            write_tags(folder, tags[board], 5, 0.0)
+        else:
+            write_pairs(folder, TrueRig.typical(), 5)
     for words in examples("calibrate"):
+        monkeypatch.chdir(tmp_path / words[words.index("--board") + 1].replace(":", "_"))
+        assert main(words) == 0
+
+
+def test_examples_of_inspection_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    frame = simulate("marker_field")[0]
+    for name, image in (("gel", frame.left), ("left", frame.left), ("right", frame.right)):
+        cv2.imwrite(str(tmp_path / f"{name}.png"), image)
+    monkeypatch.chdir(tmp_path)
+    for words in examples("inspect"):
         assert main(words) == 0
 
 

@@ -1,4 +1,6 @@
-"""What contacts can tell at best: closed forms, and the irregular cap's own surface in place of its facets."""
+"""What contacts can tell at best: closed forms, and the irregular cap's own surface in place of
+its facets.
+"""
 
 from __future__ import annotations
 

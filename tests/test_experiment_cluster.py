@@ -1,6 +1,7 @@
 """Batches on a dask cluster: real schedulers and workers on this machine.
 
-A file of its own: the cluster's threads draw from `random`, which property tests take for strategies that do so.
+A file of its own: the cluster's threads draw from `random`, which property tests take for strategies that do
+so.
 """
 
 from __future__ import annotations

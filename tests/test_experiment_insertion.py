@@ -1,4 +1,6 @@
-"""The insertion: holes against brute force, chances against closed forms, robot errors, physics, and whole trials."""
+"""The insertion: holes against brute force, chances against closed forms, robot errors, physics, and whole
+trials.
+"""
 
 from __future__ import annotations
 
@@ -66,7 +68,8 @@ def test_the_ideal_part_has_half_the_clearance_on_every_side(letter: str) -> Non
 @settings(max_examples=20)
 @given(letter=st.sampled_from(["b", "d"]), twist=twists)
 def test_room_agrees_with_very_many_points(letter: str, twist: np.ndarray) -> None:
-    # Edges are at most 40 mm long and lean by at most 0.08: points 0.01 mm apart along them miss less than 1e-3 mm.
+    # Edges are at most 40 mm long and lean by at most 0.08: points 0.01 mm apart along them miss less than
+    # 1e-3 mm.
     placed = pose(twist)
     assert FITS[letter].room_mm(placed) == pytest.approx(dense_room_mm(letter, placed), abs=1e-3)
 
@@ -187,7 +190,8 @@ def test_a_robot_without_errors_repeats_what_was_taught(
     truth: np.ndarray, found: np.ndarray, taught: np.ndarray, learned: np.ndarray, mount: np.ndarray
 ) -> None:
     x, y = pose(truth), pose(taught)
-    # Found without error, both times: the part stands as taught, whatever is wrong with the mount when nothing turns.
+    # Found without error, both times: the part stands as taught, whatever is wrong with the mount when
+    # nothing turns.
     assert np.allclose(over_hole(x, x, (y, y)), np.eye(4), atol=1e-12)
     assert np.allclose(over_hole(y, y, (y, y), mount=mount), np.eye(4), atol=1e-11)
     # An error that is the same both times, in the part's frame, cancels.
@@ -238,10 +242,10 @@ def test_expected_insertions_of_equal_chances_are_binomial(grasps: int, chance_p
 def test_a_refusal_begins_with_the_motion_that_matters_and_leaves_harmless_ones_out() -> None:
     free = ("slide along y through (0.0, 0.0, 1.0) mm", "spin about x through (0.0, -0.1, 14.9) mm")
     assert report.reason(verdict(0.1, 0.0, "slide along y, known to 0.30 mm", free)) == (
-        "slide along y is known too little (no face tells slide along y and spin about x)"
+        "slide along y is too uncertain (no face determines slide along y and spin about x)"
     )
     assert report.reason(verdict(0.1, 0.0, "lean about x, known to 1.1 deg")) == (
-        "lean about x is known too little"
+        "lean about x is too uncertain"
     )
 
 
@@ -337,7 +341,7 @@ def test_the_report_of_physics_draws_its_table() -> None:
         ["2 of 2", "3.00 (2.00 to 4.00)"],
         ["2 of 2", "1.00 (1.00 to 1.00)"],
     ]
-    assert [row[grid.head.index("twice as compliant: limit changes by %")] for row in grid.rows] == [
+    assert [row[grid.head.index("twice as compliant: change of the limit, %")] for row in grid.rows] == [
         "+50.0 (+50.0 to +50.0)"
     ] * 2
     [figure] = [block for block in made.findings if isinstance(block, Figure)]

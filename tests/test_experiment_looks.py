@@ -1,4 +1,6 @@
-"""Further looks at a part: beliefs that are fused, against closed forms, and a grasp that one look does not tell."""
+"""Further looks at a part: beliefs that are fused, against closed forms, and a grasp that one look does not
+tell.
+"""
 
 from __future__ import annotations
 

@@ -37,7 +37,9 @@ VOID = {"meta", "img", "br", "hr", "link"}
 
 
 class Page(HTMLParser):
-    """A page's tables by their captions, its pictures and its text; every element must be closed where it belongs."""
+    """A page's tables by their captions, its pictures and its text; every element must be closed where it
+    belongs.
+    """
 
     def __init__(self, text: str) -> None:
         super().__init__(convert_charrefs=True)
@@ -370,7 +372,9 @@ def test_a_report_is_one_file_that_says_what_it_rests_on(pressed: Records, tmp_p
 
 
 def test_a_command_that_is_killed_goes_on_where_it_was(tmp_path: Path) -> None:
-    """`gelstereo experiment boards` itself: killed after its first trials, and again when it has been resumed."""
+    """`gelstereo experiment boards` itself: killed after its first trials, and again when it has been
+    resumed.
+    """
     words = [
         sys.executable,
         "-c",

@@ -1,4 +1,6 @@
-"""Datasets made of recordings, read back by pyarrow; tests/test_lerobot.py opens them with LeRobot's own loader."""
+"""Datasets made of recordings, read back by pyarrow; tests/test_lerobot.py opens them with LeRobot's own
+loader.
+"""
 
 from __future__ import annotations
 
@@ -19,12 +21,13 @@ pytest.importorskip("rosbags", reason="PyPI's rosbags is not installed")
 parquet = pytest.importorskip("pyarrow.parquet", reason="PyPI's pyarrow is not installed")
 
 from gelstereo.export.lerobot import export_lerobot  # noqa: E402
-from gelstereo.export.recording import ExportError, recorded_frames  # noqa: E402
+from gelstereo.export.recording import ExportError, _messages, recorded_frames  # noqa: E402
 from gelstereo.export.statistics import pooled, statistics  # noqa: E402
 from gelstereo.export.timeline import Timeline  # noqa: E402
 
 SCENE = Path(__file__).parents[1] / "scenes" / "grasp_cylinder.toml"
 DISPLACEMENT = "observation.tactile.displacement"
+POINTS, LEFT = "/gelstereo/points", "/gelstereo/left/image/compressed"
 
 
 @pytest.fixture(scope="module")
@@ -109,6 +112,23 @@ def test_an_error_on_the_way_leaves_no_half_dataset(recording: Path, tmp_path: P
 def test_a_view_that_was_not_recorded_is_an_error(recording: Path, tmp_path: Path) -> None:
     with pytest.raises(ExportError, match="--images none"):
         export_lerobot([recording], tmp_path / "dataset", task="grasp", views=("upper",))
+
+
+def test_a_frame_without_images_has_none(recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Recordings may hold the images of one pair in so many: those of another pair are no frame's own."""
+    messages = list(_messages(recording, {POINTS, LEFT}))
+    images = [n for n, (topic, _) in enumerate(messages) if topic == LEFT]
+    kept = [message for n, message in enumerate(messages) if n not in images or images.index(n) % 3 == 0]
+    monkeypatch.setattr("gelstereo.export.recording._messages", lambda path, topics: iter(kept))
+    frames = list(recorded_frames(recording))
+    assert len(frames) == 20
+    assert [set(frame.images) for frame in frames] == [{"left"} if n % 3 == 0 else set() for n in range(20)]
+
+
+def test_of_two_frames_as_near_the_earlier_is_taken() -> None:
+    # Quarters of a second, and steps of an eighth: all exact.
+    timeline = Timeline.of([250_000_000 * n for n in range(5)], 8)
+    assert timeline.taken == [0, 0, 1, 1, 2, 2, 3, 3, 4]
 
 
 @given(st.lists(st.integers(1_000_000, 400_000_000), min_size=1, max_size=60), st.integers(1, 60))

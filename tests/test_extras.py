@@ -19,7 +19,8 @@ import gelstereo
 from gelstereo.cli.main import COMMANDS, main
 said = {}
 modules = list(pkgutil.walk_packages(gelstereo.__path__, "gelstereo.", onerror=lambda name: None))
-if sys.argv[1] != "gelstereo_bench":
+# OpenCV and trimesh come with a plain installation, which the benchmarks need.
+if sys.argv[1] not in ("gelstereo_bench", "cv2", "trimesh"):
     import gelstereo_bench
     modules += pkgutil.walk_packages(gelstereo_bench.__path__, "gelstereo_bench.", onerror=lambda name: None)
 for module in modules:

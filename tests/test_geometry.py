@@ -153,8 +153,8 @@ def test_rigid_fit_is_the_svd_solution(seed: int, count: int, omega: np.ndarray,
         + noise_mm * rng.normal(size=(count, 3))
     )
     found, reference = geometry.rigid_fit(source, target, weights), kabsch(source, target, weights)
-    # The rotation's condition is the spread over the gap of the two largest singular values' sums; random clouds of
-    # four or more points in a 20 mm box stay below 1e3 of it.
+    # The rotation's condition is the spread over the gap of the two largest singular values' sums; random
+    # clouds of four or more points in a 20 mm box stay below 1e3 of it.
     assert np.abs(found - reference).max() <= 1e3 * 64 * U * 20.0
 
 
@@ -217,5 +217,6 @@ def test_fingers_open_by_the_makers_stroke_and_advance_while_they_close(
     assert fingers.width_range_mm == pytest.approx(stroke_mm, abs=0.1)
     pads_mm = np.array([fingers.pad_mm(width) for width in np.linspace(*fingers.width_range_mm, 50)])
     assert pads_mm[:, 0] == pytest.approx(np.linspace(*fingers.width_range_mm, 50) / 2)
-    # Between closed and open the pads come back by more than the gel is thick: a width alone does not place a sensor.
+    # Between closed and open the pads come back by more than the gel is thick: a width alone does not place a
+    # sensor.
     assert pads_mm[0, 2] - pads_mm[-1, 2] > 10.0

@@ -1,7 +1,7 @@
 """gelstereo-host's gripper drivers against servers by other authors, over pseudo-terminals and loopback.
 
-pymodbus frames and checks every message of the Robotiq server. pyRobotiqGripper, a published driver, drives the same
-server as a check on the server itself.
+pymodbus frames and checks every message of the Robotiq server. pyRobotiqGripper, a published driver, drives
+the same server as a check on the server itself.
 """
 
 from __future__ import annotations
@@ -256,7 +256,9 @@ def test_a_gripper_that_vanishes_is_an_error_in_words(tmp_path: Path) -> None:
 
 
 def test_another_driver_agrees_with_the_server(tmp_path: Path) -> None:
-    """pyRobotiqGripper moves the same server as we do: the server is no echo of our own reading of the manual."""
+    """pyRobotiqGripper moves the same server as we do: the server is no echo of our own reading of the
+    manual.
+    """
     driver = pytest.importorskip("pyrobotiqgripper")
     with robotiq() as (wire, server):
         other = driver.RobotiqGripper(com_port=wire.host_port, device_id=9)

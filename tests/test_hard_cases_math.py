@@ -1,7 +1,7 @@
 """Hard cases 1 to 4: rotations and motions against mpmath at 50 digits, where they lose digits.
 
-The doubles given are taken as exact. Bounds are in units of round-off, U = 2^-53, half an ulp of 1, and scaled by the
-condition number of the case.
+The doubles given are taken as exact. Bounds are in units of round-off, U = 2^-53, half an ulp of 1, and
+scaled by the condition number of the case.
 """
 
 from __future__ import annotations
@@ -74,7 +74,8 @@ def worst(found: np.ndarray, expected: mpmath.matrix | list[mpmath.mpf]) -> floa
 def test_row_01_beside_half_a_turn(direction: np.ndarray, gap: float) -> None:
     omega = direction * (PI - gap)
     q = geometry.so3_exp(omega)
-    # Half the length carries its ulp, up to 2 U, into sine and cosine; sine, quotient and products add theirs.
+    # Half the length carries its ulp, up to 2 U, into sine and cosine; sine, quotient and products add
+    # theirs.
     assert worst(q, exact_quaternion(omega)) <= 6 * U
     # The logarithm of exactly that quaternion: atan2, its quotient and products, on an angle of π.
     assert worst(geometry.so3_log(q), exact_logarithm(q if q[3] >= 0 else -q)) <= 6 * U * PI
@@ -103,8 +104,8 @@ def test_row_03_left_jacobian_and_inverse(direction: np.ndarray, angle: float) -
     expected = exact_jacobian(omega)
     # Entries are at most 1; each is a sum of three terms with coefficients good to 4 U, times θ and θ².
     assert worst(geometry.so3_left_jacobian(omega), expected) <= 16 * U
-    # The inverse has entries up to h / sin h, h = θ/2, and a change of θ by its round-off changes them by up to its
-    # derivative, h² / sin² h: this is their condition towards a full turn.
+    # The inverse has entries up to h / sin h, h = θ/2, and a change of θ by its round-off changes them by up
+    # to its derivative, h² / sin² h: this is their condition towards a full turn.
     half = angle / 2
     condition = max(1.0, (half / np.sin(half)) ** 2)
     assert worst(geometry.so3_left_jacobian_inverse(omega), expected**-1) <= 16 * U * condition
@@ -126,7 +127,8 @@ def test_row_03_motions_with_small_rotations(direction: np.ndarray, angle: float
 def test_row_04_sign_and_length_do_not_matter(q: np.ndarray, power: float) -> None:
     omega = geometry.so3_log(q)
     other = geometry.so3_log(-q * 10.0**power)
-    # Scaling rounds each part by U, normalisation by 3 U, the angle follows; at half a turn either sign is right.
+    # Scaling rounds each part by U, normalisation by 3 U, the angle follows; at half a turn either sign is
+    # right.
     difference = min(
         np.abs(omega - other).max(), np.abs(omega + other).max() if abs(q[3]) < 4 * U else np.inf
     )
@@ -148,8 +150,8 @@ def test_row_04_matrix_to_quaternion(direction: np.ndarray, angle: float) -> Non
     matrix = mpmath.eye(3) + k * sinc + k * k * versine
     rounded = np.array(matrix.tolist(), dtype=float)
     q = geometry.so3_from_matrix(rounded)
-    # Entries of the matrix are rounded by U/2 to U; the largest of the four numbers is at least 1/2, so the others,
-    # sums of two entries over four times it, are good to 2 U, and normalisation adds 2 U.
+    # Entries of the matrix are rounded by U/2 to U; the largest of the four numbers is at least 1/2, so the
+    # others, sums of two entries over four times it, are good to 2 U, and normalisation adds 2 U.
     expected = exact_quaternion(omega)
     error = min(worst(q, expected), worst(-q, expected) if abs(q[3]) < 4 * U else np.inf)
     assert error <= 6 * U

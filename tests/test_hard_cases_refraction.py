@@ -1,7 +1,7 @@
 """Hard cases 19 to 22: light through flat layers and the inverse of distortion against mpmath at 50 digits.
 
-The doubles given are taken as exact. Bounds are in units of round-off, U = 2^-53, half an ulp of 1, and scaled by the
-condition number of the case.
+The doubles given are taken as exact. Bounds are in units of round-off, U = 2^-53, half an ulp of 1, and
+scaled by the condition number of the case.
 """
 
 from __future__ import annotations
@@ -40,7 +40,9 @@ def layers(
 
 
 def exact_pixel(rig: Rig, point_mm: tuple[float, ...], centre_x_mm: float) -> list[mpmath.mpf]:
-    """Of an undistorted camera at (centre_x_mm, 0, 0): the sine of the ray in air by bisection, then its direction."""
+    """Of an undistorted camera at (centre_x_mm, 0, 0): the sine of the ray in air by bisection, then its
+    direction.
+    """
     stack = rig.layers or {}
     normal = mpmath.matrix(stack["normal"])
     normal /= mpmath.norm(normal)
@@ -73,8 +75,8 @@ def check_against_exact(rig: Rig, point_mm: tuple[float, ...]) -> None:
     for pixel, centre_x in zip(rig.project([point_mm]), (0.0, BASELINE_MM), strict=True):
         expected = exact_pixel(rig, point_mm, centre_x)
         off = max(abs(mpmath.mpf(float(a)) - b) for a, b in zip(pixel[0], expected, strict=True))
-        # Some 10 roundings of coordinates up to 45 mm, seen from 15 mm at least, and two of the pixel. Across the
-        # layers a slope s in air turns an error by at most 1 + s².
+        # Some 10 roundings of coordinates up to 45 mm, seen from 15 mm at least, and two of the pixel. Across
+        # the layers a slope s in air turns an error by at most 1 + s².
         slope2 = ((pixel[0] - [320, 240]) ** 2).sum() / F_PX**2
         assert off <= U * (10 * F_PX * 45.0 / 15.0 * (1 + slope2) + 2 * np.abs(pixel).max())
 
@@ -100,13 +102,15 @@ def test_row_19_beside_normal_incidence(offset_mm: float) -> None:
 
 @pytest.mark.parametrize("gap_mm", [1e-9, 1e-6, 1e-3])
 def test_row_19_grazing_light_through_a_narrow_gap(gap_mm: float) -> None:
-    """Beyond the critical angle light only arrives along the interface: the pixel is far outside the image."""
+    """Beyond the critical angle light only arrives along the interface: the pixel is far outside
+    the image.
+    """
     rig = CAMERAS.with_layers(layers((0.0, 0.0), gap_mm, [], 1.41))
     point_mm = (9.0, 0.0, 5.0)
     [[column, _]], _ = rig.project([point_mm])
     expected = exact_pixel(rig, point_mm, 0.0)[0]
-    # The slope in air is (rho - the gel's share) / gap, and the height by which it is multiplied is the gap: what the
-    # difference of two lengths of 9 mm has lost counts over the gap.
+    # The slope in air is (rho - the gel's share) / gap, and the height by which it is multiplied is the gap:
+    # what the difference of two lengths of 9 mm has lost counts over the gap.
     assert abs(column / expected - 1) <= 4 * U * 9.0 / gap_mm + 20 * U
     with pytest.raises(RigError, match="totally reflected"):
         CAMERAS.with_layers(layers((0.0, 0.0), 0.0, [], 1.41)).project([point_mm])
@@ -166,7 +170,8 @@ def test_row_22_distortion_is_inverted_up_to_the_fold(radius: float, turn: float
         low, high = (middle, high) if middle - mpmath.mpf(0.4) * middle**3 < length else (low, middle)
     expected = [t * (low / length) if length > 0 else mpmath.mpf(0) for t in target]
     off = max(abs(mpmath.mpf(float(a)) - b) for a, b in zip(found, expected, strict=True))
-    # The pixel's distance from the centre and the polynomial round to some 6 U; at the fold 1 - 1.2 r² goes to 0.
+    # The pixel's distance from the centre and the polynomial round to some 6 U; at the fold 1 - 1.2 r² goes
+    # to 0.
     assert off <= 6 * U / (1 - 1.2 * radius**2) + U
 
 
@@ -196,6 +201,6 @@ def test_rays_are_scipys_least_squares(
     scipys = optimize.least_squares(
         residuals, point_mm, jac="3-point", xtol=1e-15, ftol=1e-15, gtol=1e-15, x_scale="jac"
     )
-    # The one step leaves what is quadratic in the noise: at 0.1 px less than a thousandth of what that is in depth,
-    # z² / (f b). In 3000 uniform cases it was 5.4e-6 mm at most, where this is 3.4e-5.
+    # The one step leaves what is quadratic in the noise: at 0.1 px less than a thousandth of what that is in
+    # depth, z² / (f b). In 3000 uniform cases it was 5.4e-6 mm at most, where this is 3.4e-5.
     assert np.abs(found - scipys.x).max() < 1e-3 * 0.1 * 45.0**2 / (F_PX * BASELINE_MM)

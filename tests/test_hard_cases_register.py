@@ -1,4 +1,6 @@
-"""Hard cases 5 to 12 of registration: against a singular value decomposition, brute force and closed forms."""
+"""Hard cases 5 to 12 of registration: against a singular value decomposition, brute force and
+closed forms.
+"""
 
 from __future__ import annotations
 
@@ -151,8 +153,9 @@ def test_row_09_the_answer_moves_with_the_offset(offset_mm: float) -> None:
     far_guess = guess.copy()
     far_guess[:3, 3] += shift
     far = gelstereo.localize(points + shift, template, guess=far_guess, params=params(method))
-    # Coordinates, and translations of the iterations, are rounded by half an eps of the offset; the weakest determined
-    # direction of this patch amplifies that by R / ρ = 3; both runs stop within 1e-3 of the spacing.
+    # Coordinates, and translations of the iterations, are rounded by half an eps of the offset; the weakest
+    # determined direction of this patch amplifies that by R / ρ = 3; both runs stop within 1e-3 of the
+    # spacing.
     bound = 10 * EPS * offset_mm + 2 * 1e-3 * template.spacing_mm
     on_object = np.linalg.inv(here.t_sensor_object)
     moved_points = moved(far.t_sensor_object, moved(on_object, points)) - shift
@@ -166,7 +169,8 @@ def test_row_10_a_sphere_leaves_three_rotations(method: str) -> None:
     assert len(found.free) == 3
     assert all("about" in str(direction) for direction in found.free)
     assert np.isfinite(found.information).all()
-    # Three eigenvalues are zero to round-off; rotations are about the camera, here at the sphere's centre, 5 mm off.
+    # Three eigenvalues are zero to round-off; rotations are about the camera, here at the sphere's centre, 5
+    # mm off.
     values = np.linalg.eigvalsh(found.information)
     assert np.abs(values[:3]).max() <= 1e3 * EPS * values[-1]
     assert values[3] > 1

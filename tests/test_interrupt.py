@@ -106,9 +106,9 @@ DENSE = (
     "",
 )
 LAYER = (
-    "layer = LayerContact(thickness_mm=4.0, poisson_ratio=0.48, rows=256, cols=256, cell_mm=0.1, friction=0.5); "
-    "y, x = np.mgrid[:256, :256] * 0.1 - 12.8; heights = 1.0 - (x * x + y * y) / 8.0; "
-    "carried = np.full((256, 256, 2), 0.1); before = layer.press(heights, carried)",
+    "layer = LayerContact(thickness_mm=4.0, poisson_ratio=0.48, rows=256, cols=256, cell_mm=0.1, "
+    "friction=0.5); y, x = np.mgrid[:256, :256] * 0.1 - 12.8; heights = 1.0 - (x * x + y * y) / 8.0; carried "
+    "= np.full((256, 256, 2), 0.1); before = layer.press(heights, carried)",
     "layer.press(heights, carried, tolerance_mm=1e-13)",
     "assert np.array_equal(layer.press(heights, carried).pressure, before.pressure)",
 )

@@ -1,4 +1,6 @@
-"""The simulator's compression against OpenCV's codec: the same tables, the same pixels but for derived rounding."""
+"""The simulator's compression against OpenCV's codec: the same tables, the same pixels but for derived
+rounding.
+"""
 
 from __future__ import annotations
 
@@ -66,9 +68,10 @@ def amplitudes(image: Image) -> npt.NDArray[np.float64]:
     return cosines() @ (blocks(image).astype(float) - 128) @ cosines().T
 
 
-#: An amplitude so near to the middle between two steps may be rounded either way. Both codecs count in integers: ours
-#: with cosines off by 2^-14 / sqrt(3) and 1/16 levels between its passes, libjpeg's with 1/8. Over 64 pixels of some
-#: 60 levels that is 0.02, 0.03 and 0.05 levels rms, 0.06 in all, and these are five of it.
+#: An amplitude so near to the middle between two steps may be rounded either way. Both codecs count in
+#: integers: ours with cosines off by 2^-14 / sqrt(3) and 1/16 levels between its passes, libjpeg's with 1/8.
+#: Over 64 pixels of some 60 levels that is 0.02, 0.03 and 0.05 levels rms, 0.06 in all, and these are five of
+#: it.
 DOUBT = 0.3
 
 
@@ -80,7 +83,8 @@ def check(plain: Image, found: Image, quality: int) -> None:
     table = steps(file)
     parts = amplitudes(plain) / table
     beside = np.abs(parts - np.floor(parts) - 0.5) * table < DOUBT
-    # One that ends a step apart changes a pixel by c(u) c(v) / 4 of the step at most. Both round to levels at the end.
+    # One that ends a step apart changes a pixel by c(u) c(v) / 4 of the step at most. Both round to levels at
+    # the end.
     scale = np.where(np.arange(8) == 0, np.sqrt(0.5), 1.0)
     allowed = 1.0 + (beside * np.outer(scale, scale) * table / 4).sum(axis=(2, 3))
     difference = blocks(np.abs(found.astype(int) - expected)).max(axis=(2, 3))

@@ -13,7 +13,9 @@ PITCH_PX = 17.0
 
 
 def algorithm_1(positions: np.ndarray, cols: int, tolerance: float) -> np.ndarray | None:
-    """Line by line as printed, but from 0, over what is left, each row by abscissa, and None if a row does not fill."""
+    """Line by line as printed, but from 0, over what is left, each row by abscissa, and None if a row does
+    not fill.
+    """
     left = sorted(range(len(positions)), key=lambda i: (positions[i][1], positions[i][0]))
     out: list[int] = []
     while left:

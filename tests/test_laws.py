@@ -1,10 +1,12 @@
-"""Laws of SO(3) and SE(3) at 4 ulp: every function against mpmath at 60 digits, on the doubles that it was given.
+"""Laws of SO(3) and SE(3) at 4 ulp: every function against mpmath at 60 digits, on the doubles that it was
+given.
 
-An ulp is that of the largest entry of the result. A smaller entry is a sum of terms as large as that one, or larger:
-where it cancels, its own ulp means nothing, and no caller can use more digits of it than of the others. A translation
-is a vector that was turned, which is off by as much whichever way it points: its ulp is the rounding unit times the
-length of what was turned (by the largest entry, 4.4 ulp are met once in thousands). |ω| is up to π, as rotation vectors
-are kept; beyond, the argument's own ulp moves sine and cosine by more.
+An ulp is that of the largest entry of the result. A smaller entry is a sum of terms as large as that one, or
+larger: where it cancels, its own ulp means nothing, and no caller can use more digits of it than of the
+others. A translation is a vector that was turned, which is off by as much whichever way it points: its ulp is
+the rounding unit times the length of what was turned (by the largest entry, 4.4 ulp are met once in
+thousands). |ω| is up to π, as rotation vectors are kept; beyond, the argument's own ulp moves sine and cosine
+by more.
 """
 
 from __future__ import annotations

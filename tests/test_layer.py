@@ -1,4 +1,6 @@
-"""The elastic layer against other people's solvers: finite elements (scikit-fem) and boundary elements (tamaas)."""
+"""The elastic layer against other people's solvers: finite elements (scikit-fem) and boundary elements
+(tamaas).
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,9 @@ def covered(count: int, cell_mm: float, radius: float) -> Array:
 
 @pytest.mark.parametrize("poisson_ratio", [0.0, 0.3, 0.48])
 def test_loads_move_the_layer_as_finite_elements_do(poisson_ratio: float) -> None:
-    """Within 1 % of the largest motion, component by component, from the disc's middle to four thicknesses."""
+    """Within 1 % of the largest motion, component by component, from the disc's middle to four
+    thicknesses.
+    """
     count, cell, disc = 120, 0.05, Disc(poisson_ratio, radius=0.5)
     contact = gelstereo.LayerContact(
         thickness_mm=1.0, poisson_ratio=poisson_ratio, rows=count, cols=count, cell_mm=cell, friction=1.0
@@ -99,7 +103,9 @@ def compliance(contact: gelstereo.LayerContact, count: int) -> Array:
 
 
 def l_curve(matrix: Array, heights: Array) -> Array:
-    """Tikhonov's pressures at the corner of the L-curve: of log residual against log size, where it bends most."""
+    """Tikhonov's pressures at the corner of the L-curve: of log residual against log size, where it bends
+    most.
+    """
     u, s, v = np.linalg.svd(matrix)
     beta = u.T @ heights
     weights = np.geomspace(0.1 * s[-1], s[0], 60)[:, None]
@@ -112,7 +118,9 @@ def l_curve(matrix: Array, heights: Array) -> Array:
 
 @pytest.mark.parametrize("noise_mm", [0.001, 0.02, 0.1])
 def test_row_29_force_from_markers_with_noise(noise_mm: float) -> None:
-    """The pressures that explain measured heights without pulling add up to the load, as well as the noise allows."""
+    """The pressures that explain measured heights without pulling add up to the load, as well as the noise
+    allows.
+    """
     count, cell, draws = 13, 0.9, 200
     contact = gelstereo.LayerContact(
         thickness_mm=5.0, poisson_ratio=0.48, rows=count, cols=count, cell_mm=cell
@@ -132,7 +140,8 @@ def test_row_29_force_from_markers_with_noise(noise_mm: float) -> None:
         heights = np.full(count**2, -np.inf)
         heights[touched] = true + noise
         pressure = contact.press(heights.reshape(count, count)).pressure.ravel()[touched]
-        # Least p'Cp/2 - p'h over p >= 0, by another solver; the force moves by what the heights' tolerance moves it.
+        # Least p'Cp/2 - p'h over p >= 0, by another solver; the force moves by what the heights' tolerance
+        # moves it.
         expected, _ = nnls(root.T, np.linalg.solve(root, heights[touched]))
         slope = np.abs(np.linalg.solve(matrix, np.ones(len(touched)))).sum() * cell**2
         assert abs(pressure.sum() - expected.sum()) * cell**2 < 1e-6 * slope

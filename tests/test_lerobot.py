@@ -1,6 +1,7 @@
 """LeRobot itself loads the camera plugin and opens an exported dataset.
 
-It runs in an environment of its own, made once by tests/lerobot/venv.sh: in $GELSTEREO_LEROBOT_VENV, or .venv-lerobot.
+It runs in an environment of its own, made once by tests/lerobot/venv.sh: in $GELSTEREO_LEROBOT_VENV, or
+.venv-lerobot.
 """
 
 from __future__ import annotations

@@ -1,4 +1,6 @@
-"""The simulator's own likelihood of heights: greatest at the truth, and as large as noise makes it (simulated)."""
+"""The simulator's own likelihood of heights: greatest at the truth, and as large as noise makes it
+(simulated).
+"""
 
 import numpy as np
 import pytest
@@ -17,7 +19,8 @@ def test_at_the_truth_it_is_what_noise_makes_it(contacts: list[Grasp]) -> None:
     simulator, sigma = simulator_of(contacts[0].mesh), NOISES[0].sigma_mm
     for grasp in contacts:
         count = len(grasp.all_points_mm)
-        # -n (ln σ √(2π) + χ²/2), χ² of n degrees over n: five standard deviations of half of it; slopes widen some.
+        # -n (ln σ √(2π) + χ²/2), χ² of n degrees over n: five standard deviations of half of it; slopes widen
+        # some.
         at_mean = -count * (0.5 + 0.5 * np.log(2.0 * np.pi) + np.log(sigma))
         truth = log_likelihood(grasp, NOISES[0], simulator, grasp.t_sensor_object)
         assert truth == pytest.approx(at_mean, abs=5.0 * np.sqrt(0.5 * count))

@@ -1,4 +1,6 @@
-"""Live runs: every source gives the same frames, results do not depend on who looks, and what is written is read."""
+"""Live runs: every source gives the same frames, results do not depend on who looks, and what is written is
+read.
+"""
 
 from __future__ import annotations
 

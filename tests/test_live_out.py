@@ -1,7 +1,8 @@
 """What `gelstereo-host sense --publish` sends, read by programs that nobody here wrote.
 
 ROS 2 messages over zenoh are read by zenoh's own Python binding and by hiroz, a ROS 2 node (tests/ros_peer).
-A plain WebSocket client stands for Foxglove. rosbags decodes the messages and computes the hashes of their types.
+A plain WebSocket client stands for Foxglove. rosbags decodes the messages and computes the hashes of their
+types.
 
 $GELSTEREO_HOST_LIVE names a host that was built with `--features zenoh,foxglove`, and $GELSTEREO_ROS_PEER the
 built ros-peer.

@@ -1,4 +1,6 @@
-"""A live recording is one of the host's: readers that nobody here wrote open it, and the host computes it again."""
+"""A live recording is one of the host's: readers that nobody here wrote open it, and the host computes it
+again.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Found poses err as their covariance says: NEES (Bar-Shalom, Li and Kirubarajan 2001, 5.4) over parts in the gel."""
+"""Found poses err as their covariance says: NEES (Bar-Shalom, Li and Kirubarajan 2001, 5.4) over parts in the
+gel.
+"""
 
 import numpy as np
 import pytest
@@ -43,11 +45,14 @@ def _nees(contacts: list[Grasp], budget: int) -> tuple[Nees, int]:
 
 
 def _mean_inside(nees: Nees) -> tuple[float, int]:
-    """Mean, 1 where covariances are right, of those that lie where 95 % should; and how many directions these have."""
+    """Mean, 1 where covariances are right, of those that lie where 95 % should; and how many directions these
+    have.
+    """
     squared, directions = np.array(nees.squared), np.array(nees.directions)
     limits = chi2.ppf(0.95, directions)
     inside = squared <= limits
-    # The mean of the lower 95 % of a chi-squared law with k degrees is k times the share that one with k + 2 has below.
+    # The mean of the lower 95 % of a chi-squared law with k degrees is k times the share that one with k + 2
+    # has below.
     expected = directions * chi2.cdf(limits, directions + 2) / 0.95
     return float(squared[inside].sum() / expected[inside].sum()), int(directions[inside].sum())
 
@@ -60,7 +65,8 @@ def test_successes_lie_within_their_covariance(contacts: list[Grasp], share: flo
     assert count >= len(contacts) // 3
     # One in twenty lies outside where covariances are right.
     assert outside <= binom.isf(_RARE, count, 0.05)
-    # An answer on a wrong peak, of which it does not know, is counted above; how far off it is does not count.
+    # An answer on a wrong peak, of which it does not know, is counted above; how far off it is does not
+    # count.
     mean, degrees = _mean_inside(nees)
     assert mean <= chi2.isf(_RARE, degrees) / degrees
     if share < 0.3:

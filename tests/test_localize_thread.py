@@ -32,7 +32,9 @@ class Pressed:
         return self.points_mm @ back[:3, :3].T + back[:3, 3]
 
     def slide_mm(self, found: np.ndarray) -> float:
-        """How far along the thread a pose is from the truth, less the advance of its turn: a screw motion is free."""
+        """How far along the thread a pose is from the truth, less the advance of its turn: a screw motion is
+        free.
+        """
         moved = np.linalg.inv(self.t_sensor_object) @ found
         turn = np.arctan2(moved[1, 0], moved[0, 0])
         return float(moved[2, 3] - PITCH_MM * turn / (2.0 * np.pi))
@@ -91,7 +93,9 @@ def least(claimed: float, runs: int) -> int:
 
 
 def test_markers_beyond_the_tip_alone_tell_pitches_apart(template: Template) -> None:
-    """A pitch farther every pressed marker is as near to the thread as before, and those beyond the tip are inside."""
+    """A pitch farther every pressed marker is as near to the thread as before, and those beyond the tip are
+    inside.
+    """
     told, runs = 0, 16
     for seed in range(3000, 3000 + runs):
         pressed = press(template, seed)
@@ -106,19 +110,23 @@ def test_markers_beyond_the_tip_alone_tell_pitches_apart(template: Template) -> 
             near[pressed.salient & repeats], far[pressed.salient & repeats], atol=1e-13
         )
         assert (pressed.salient & repeats).sum() > 0.8 * pressed.salient.sum()
-        # A pitch more is 1.5 mm by 6.2 mm, the width 0.1 mm below the crest: 11 markers at rest, some in a groove.
+        # A pitch more is 1.5 mm by 6.2 mm, the width 0.1 mm below the crest: 11 markers at rest, some in a
+        # groove.
         assert near.min() > -5.0 * SIGMA_MM and (far < -5.0 * SIGMA_MM).sum() >= 3
         one, other = (
             pressed.find(template, slid(pressed, k), "surface_close", every=True) for k in (0.0, 1.0)
         )
         assert abs(pressed.slide_mm(one.t_sensor_object)) < 0.1
         told += one.log_likelihood - other.log_likelihood > KEPT
-    # Three markers that can only be outliers cost 3 ln 20, twice ln 100. What is left are steps that end elsewhere.
+    # Three markers that can only be outliers cost 3 ln 20, twice ln 100. What is left are steps that end
+    # elsewhere.
     assert told >= least(0.99, runs), told
 
 
 def likely(pressed: Pressed, template: Template, guess: np.ndarray) -> set[int]:
-    """The pitches that explain the salient markers alone about as well, the guess counted; from starts at each."""
+    """The pitches that explain the salient markers alone about as well, the guess counted; from starts at
+    each.
+    """
     found = {}
     centre = np.append(pressed.points_mm[pressed.salient].mean(axis=0), 1.0)
     for pitches in range(-2, 6):
@@ -137,7 +145,9 @@ def likely(pressed: Pressed, template: Template, guess: np.ndarray) -> set[int]:
 
 
 def test_every_pitch_within_reach_of_the_guess_is_returned_once_and_ranked(template: Template) -> None:
-    """Seen in part, a thread's pitches are as likely; with every marker there is one pose (seeds 4000 to 4039)."""
+    """Seen in part, a thread's pitches are as likely; with every marker there is one pose (seeds 4000 to
+    4039).
+    """
     all_returned, right, runs = 0, 0, 40
     for seed in range(4000, 4000 + runs):
         pressed = press(template, seed)
@@ -145,7 +155,8 @@ def test_every_pitch_within_reach_of_the_guess_is_returned_once_and_ranked(templ
         blind = pressed.find(template, guess, "surface_search", every=False)
         poses = [blind.t_sensor_object, *(pose for pose, _ in blind.alternatives)]
         pitches = np.array([pressed.slide_mm(pose) for pose in poses]) / PITCH_MM
-        # Each stands at a whole pitch from the truth, towards the tip: on the other side it would not reach as far.
+        # Each stands at a whole pitch from the truth, towards the tip: on the other side it would not reach
+        # as far.
         assert np.abs(pitches - np.round(pitches)).max() < 0.1 and np.round(pitches).min() >= 0, pitches
         whole = {int(k) for k in np.round(pitches)}
         assert len(whole) == len(poses) and not blind.alternatives_cut
@@ -158,15 +169,18 @@ def test_every_pitch_within_reach_of_the_guess_is_returned_once_and_ranked(templ
 
 
 def test_row_10_a_thread_is_free_to_screw_by_its_pitch(template: Template) -> None:
-    """Of six directions one is free, and it is named: a turn about the axis that advances by a pitch a turn."""
+    """Of six directions one is free, and it is named: a turn about the axis that advances by a
+    pitch a turn.
+    """
     for seed in range(5000, 5006):
         pressed = press(template, seed)
         for method in ("surface_close", "surface_search"):
             (free,) = pressed.find(template, slid(pressed, 0.0), method, every=False).free
             assert str(free).startswith("screw about z through "), free
             assert np.linalg.norm(free.omega) == pytest.approx(1.0)
-            # Faces are a 66th of a turn wide, so their normals are up to pi / 66 off around the axis. Such errors of n
-            # markers at 4.5 mm leave 4.5 (pi / 66) / sqrt(3 n) mm per radian, and more by the flanks' tilt of 30 deg.
+            # Faces are a 66th of a turn wide, so their normals are up to pi / 66 off around the axis. Such
+            # errors of n markers at 4.5 mm leave 4.5 (pi / 66) / sqrt(3 n) mm per radian, and more by the
+            # flanks' tilt of 30 deg.
             off_mm = 4.5 * np.pi / 66.0 / np.sqrt(3.0 * pressed.salient.sum()) / np.cos(np.pi / 6.0)
             pitch_mm = 2.0 * np.pi * float(free.omega @ free.v)
             assert pitch_mm == pytest.approx(PITCH_MM, abs=3.0 * 2.0 * np.pi * off_mm), free

@@ -53,7 +53,8 @@ def test_nearest_points_are_those_of_every_triangle(seed: int) -> None:
     mesh = lump(seed)
     points = around(mesh, seed, 60)
     found = Template.from_triangles(mesh.vertices, mesh.faces, spacing_mm=1.0).closest(points)
-    # Both are right to some rounding of 10 mm; trimesh's barycentric one loses a digit or two on flat triangles.
+    # Both are right to some rounding of 10 mm; trimesh's barycentric one loses a digit or two on flat
+    # triangles.
     np.testing.assert_allclose(np.abs(found.distances_mm), brute_force(mesh, points), rtol=0, atol=1e-13 * 10)
     np.testing.assert_allclose(
         np.linalg.norm(found.points_mm - points, axis=1), np.abs(found.distances_mm), rtol=0, atol=1e-14

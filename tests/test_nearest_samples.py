@@ -1,4 +1,6 @@
-"""Nearest samples of a template, against every distance and SciPy's cKDTree; of equally near ones the first."""
+"""Nearest samples of a template, against every distance and SciPy's cKDTree; of equally near ones
+the first.
+"""
 
 from __future__ import annotations
 
@@ -45,8 +47,8 @@ def test_row_12_nearest_samples_are_those_of_every_distance_and_scipys(
     assert np.array_equal(indices, every.argmin(axis=1))  # argmin takes the first of equals
     assert np.array_equal(distances_mm, np.sqrt(every.min(axis=1)))
     theirs, names = cKDTree(points).query(queries)
-    # Both sum three squares and take a root, in another order: two roundings of the sum, halved by the root, and the
-    # root's own. Squares that underflow lose all digits, below 1e-160 mm.
+    # Both sum three squares and take a root, in another order: two roundings of the sum, halved by the root,
+    # and the root's own. Squares that underflow lose all digits, below 1e-160 mm.
     np.testing.assert_allclose(distances_mm, theirs, rtol=3 * EPS, atol=1e-160)
     # Where nothing else is as near to SciPy's rounding, it names the same one.
     alone = (every <= every.min(axis=1)[:, None] * (1.0 + 8.0 * EPS) + 1e-300).sum(axis=1) == 1

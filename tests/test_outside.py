@@ -1,4 +1,6 @@
-"""Path-traced pairs and finite-element contacts (`bench/outside`): they load, are apart by half, and are true."""
+"""Path-traced pairs and finite-element contacts (`bench/outside`): they load, are apart by half, and are
+true.
+"""
 
 from __future__ import annotations
 
@@ -193,7 +195,9 @@ def test_solids_touch_the_gel_where_they_say_and_are_nowhere_in_it() -> None:
 
 
 def test_gels_are_smooth_beside_solids() -> None:
-    """Solutions of meshes that lock or oscillate are not; a square peg on the thinnest gel was left out for that."""
+    """Solutions of meshes that lock or oscillate are not; a square peg on the thinnest gel was left out for
+    that.
+    """
     along = np.arange(-9.5, 9.51, 0.25)
     x, y = np.meshgrid(along, along)
     places = np.column_stack((x.ravel(), y.ravel()))
@@ -221,18 +225,26 @@ def test_noise_is_seeded_and_as_large_as_stated() -> None:
     assert not np.array_equal(first, other)
 
 
-# Median of the mean of three squares of unit normal variables: that of chi-squared with three degrees, over three.
+# Median of the mean of three squares of unit normal variables: that of chi-squared with three degrees, over
+# three.
 MEDIAN_OF_MEAN_SQUARE = 0.7887
 
 
-# Preset `fast` learns its variance at rest from twelve markers: with three noises of four prints it stated 0.7 to 2.1
-# times the true one.
+# Preset `fast` learns its variance at rest from twelve markers: with three noises of four prints it stated
+# 0.7 to 2.1 times the true one.
 @pytest.mark.parametrize(("preset", "least"), [("fast", 1 / 2.1), ("balanced", 0.8), ("exact", 0.8)])
 def test_row_41_a_tray_in_view_changes_no_variance_of_a_point(preset: str, least: float) -> None:
     """Within the bounds of sensing for the mean, for the typical point: glints and dirt are in the tail."""
     figures = judged(preset, [Sequence.load("w1_press_at_once")], Condition(), {})
     assert least <= np.median(np.concatenate(figures.squared)) / MEDIAN_OF_MEAN_SQUARE <= 1.25
     assert np.mean(figures.f1) >= 0.85
+
+
+def test_frames_state_what_folds_do_to_the_centres() -> None:
+    """A twisted board folds the gel between markers. One image cannot show it; the frame has the points."""
+    figures = judged("balanced", [Sequence.load("w5_twist")], Condition(), {})
+    assert 0.8 <= np.concatenate(figures.centre_squared).mean() <= 1.25
+    assert np.concatenate(figures.alone_squared).mean() > 5.0
 
 
 @pytest.mark.long

@@ -1,4 +1,6 @@
-"""Settings: one tree, declared in Rust, that Python reads, replaces and writes without a copy of a default."""
+"""Settings: one tree, declared in Rust, that Python reads, replaces and writes without a copy of
+a default.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""The pipeline from Python: results against truth, and hard case 34: the same bits on every run and thread."""
+"""The pipeline from Python: results against truth, and hard case 34: the same bits on every run
+and thread.
+"""
 
 from __future__ import annotations
 
@@ -176,6 +178,20 @@ def test_a_pipeline_resumes_from_a_stored_rest_frame(
     assert np.array_equal(found.state, frames[-1].state)
     # The polynomial map is good to a micrometre.
     np.testing.assert_allclose(found.indentation_mm, frames[-1].indentation_mm, atol=1e-3)
+
+
+@pytest.mark.parametrize("view", ["left", "right"])
+def test_a_marker_hidden_from_one_view_is_not_shown(noisy_press: list[SimulatedFrame], view: str) -> None:
+    frame, marker = noisy_press[0], 312
+    images = {"left": frame.left.copy(), "right": frame.right.copy()}
+    x, y = np.rint(getattr(frame, f"{view}_px")[marker]).astype(int)
+    gel = int(np.median(images[view]))
+    images[view][y - 7 : y + 8, x - 7 : x + 8] = gel
+    pipeline = Pipeline(RIG)
+    pipeline.process(images["left"], images["right"])
+    record = pipeline.rest_record()
+    assert record is not None
+    assert np.flatnonzero(~record.shown).tolist() == [marker]
 
 
 def test_a_stored_rest_frame_of_another_sensor_is_refused(noisy_press: list[SimulatedFrame]) -> None:

@@ -10,7 +10,9 @@ from gelstereo import Params, Pipeline, PitchWarning, Rig, simulate
 
 
 def rest(pitch_mm: float, baseline_scale: float = 1.0) -> Pipeline:
-    """A pipeline after its rest frame, with another pitch or baseline than the simulated sensor's 0.9 and 8 mm."""
+    """A pipeline after its rest frame, with another pitch or baseline than the simulated sensor's 0.9 and 8
+    mm.
+    """
     sensor = simulate({"effects.sensor_noise.sigma_levels": 1.0})
     rig = Rig.parallel((640, 480), 560.0, 8.0 * baseline_scale)
     pipeline = Pipeline(rig, Params.preset("balanced").replace({"lattice.pitch_mm": pitch_mm}))

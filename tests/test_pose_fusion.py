@@ -67,7 +67,8 @@ def test_the_fused_pose_has_the_least_distance_and_its_curvature(seed: int) -> N
             expected += jacobian.T @ known @ jacobian
             distance += float(error @ known @ error)
     sigma = np.sqrt(np.diag(np.linalg.inv(expected)))
-    # By how much of its own standard deviation the pose is off the minimum; a double's pose is known to 1e-14.
+    # By how much of its own standard deviation the pose is off the minimum; a double's pose is known to
+    # 1e-14.
     assert np.abs(np.linalg.solve(expected, gradient) / sigma).max() < 1e-6
     assert np.allclose(information * sigma[:, None] * sigma, expected * sigma[:, None] * sigma, atol=1e-8)
     assert squared == pytest.approx(distance, rel=1e-7, abs=1e-9)
@@ -104,8 +105,8 @@ def test_what_one_look_leaves_free_the_other_tells() -> None:
     assert pose[:3, 3] == pytest.approx([0.01, 0.02, 0.0], abs=1e-12) and squared == pytest.approx(
         0.0, abs=1e-12
     )
-    # Along the part's axis neither knows anything; the first pose is kept. A turn of a pose that is 0.4 mm off moves it
-    # by half of that: 1e4 / 4 * 0.4² of 2e6.
+    # Along the part's axis neither knows anything; the first pose is kept. A turn of a pose that is 0.4 mm
+    # off moves it by half of that: 1e4 / 4 * 0.4² of 2e6.
     assert np.diag(information) == pytest.approx([2e6, 2e6, 2e6, 1e4, 1e4, 0.0], rel=5e-4)
 
 
@@ -143,7 +144,8 @@ def test_a_touched_plane_gives_the_least_distance_of_all_poses(seed: int, knows:
     solved = optimize.least_squares(residuals, np.zeros(6), xtol=1e-15, ftol=1e-15, gtol=1e-15)
     pose, information, squared = geometry.fuse_plane(first, known, point_mm, normal, offset_mm, sigma_mm)
     assert squared == pytest.approx(2.0 * solved.cost, rel=1e-6, abs=1e-9)
-    # Along what neither knows there are many poses at the least distance: all of them are as far from the plane.
+    # Along what neither knows there are many poses at the least distance: all of them are as far from the
+    # plane.
     best = np.asarray(geometry.se3_exp(solved.x / SCALE)) @ first
     assert distance_mm(pose, point_mm, normal, offset_mm) == pytest.approx(
         distance_mm(best, point_mm, normal, offset_mm), abs=1e-6

@@ -32,9 +32,12 @@ def test_the_board_is_flat_and_its_squares_are_square(
     assert len(pairs) == 13
     mine = chessboards.flatness([chessboards.triangulate_rig(ours.rig, *pair) for pair in pairs])
     theirs = chessboards.flatness([chessboards.triangulate_opencv(ours.rig, *pair) for pair in pairs])
-    assert mine.plane_rms <= theirs.plane_rms * 1.01
-    assert mine.side_sigma <= theirs.side_sigma * 1.01
-    # The scale is known as well as the baseline: a corner's noise over the square root of 1404 of them in each view.
+    # Standard deviations estimated from 702 corners have a sampling error of 2.7 %.
+    sampling = 1.0 + 1.0 / np.sqrt(2 * 702)
+    assert mine.plane_rms <= theirs.plane_rms * sampling
+    assert mine.side_sigma <= theirs.side_sigma * sampling
+    # The scale is known as well as the baseline: a corner's noise over the square root of 702 of them in
+    # each view.
     assert mine.side_mean == pytest.approx(1.0, abs=1e-3)
 
 
@@ -45,8 +48,8 @@ def test_mrcal_agrees(boards: chessboards.Boards, ours: StereoCalibration) -> No
     second = chessboards.mrcal_rig(boards)
     assert second is not None
     rig, rms_px = second
-    # One likelihood, two optimisers: they differ by where they stop and by mrcal's faint regularisation, which is far
-    # below what the corners' noise leaves open.
+    # One likelihood, two optimisers: they differ by where they stop and by mrcal's faint regularisation,
+    # which is far below what the corners' noise leaves open.
     assert rms_px == pytest.approx(ours.stereo.rms_px, rel=0.01)
     sigma_px = max(ours.left.focal_sigma_px, ours.right.focal_sigma_px)
     for view in ("left_matrix", "right_matrix"):

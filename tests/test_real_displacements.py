@@ -1,4 +1,6 @@
-"""Displacements between rest and press frames of a real gel, whose recorded markers are rendered and found again."""
+"""Displacements between rest and press frames of a real gel, whose recorded markers are rendered and found
+again.
+"""
 
 from __future__ import annotations
 
@@ -48,11 +50,14 @@ def test_displacements_are_the_recordings_within_the_predicted_covariance(
     error = (replayed.displacement_mm - replayed.recorded_mm)[pressed]
     predicted = np.sqrt(np.einsum("fmii->fmi", replayed.covariance_mm2[pressed]).mean(axis=(0, 1)))
     rms = np.sqrt((error**2).mean(axis=(0, 1)))
-    # The grain of the paint stays where it is, so rest and press frame share a part of their errors: what is left is
-    # less than predicted, never more than the tenth that a rung's covariance may be off.
-    assert (rms < 1.1 * predicted).all() and (rms > 0.7 * predicted).all()
-    assert 0.7 < replayed.nees()[pressed].mean() / 3.0 < 1.2
-    # No bias: a mean over 400 markers and 130 frames. Markers that lean in the dome share a bias of some micrometres.
+    # The grain of the paint stays where it is, so rest and press frame share a part of their errors: what is
+    # left is less than predicted, never more than the tenth that a rung's covariance may be off. The
+    # recording's own noise of height, 0.01 mm, is drawn as a rough gel and counts as folds, which doubles the
+    # variance across at most.
+    assert (rms < 1.1 * predicted).all() and (rms > 0.5 * predicted).all()
+    assert 0.5 < replayed.nees()[pressed].mean() / 3.0 < 1.2
+    # No bias: a mean over 400 markers and 130 frames. Markers that lean in the dome share a bias of some
+    # micrometres.
     assert np.abs(error.mean(axis=(0, 1))).max() < 0.002
 
 
@@ -63,8 +68,8 @@ def test_displacements_are_smooth(replayed: Replay) -> None:
         field = replayed.displacement_mm[frame].reshape(rows, cols, 3)
         ring = (field[:-2, 1:-1] + field[2:, 1:-1] + field[1:-1, :-2] + field[1:-1, 2:]) / 4.0
         rough = np.linalg.norm(field[1:-1, 1:-1] - ring, axis=2)
-        # A gel bends over its thickness of several pitches; one marker out of line would stand out by a pitch. Height
-        # has a noise of 0.01 mm, of which three times are added.
+        # A gel bends over its thickness of several pitches; one marker out of line would stand out by a
+        # pitch. Height has a noise of 0.01 mm, of which three times are added.
         assert rough.max() < 0.3 * np.linalg.norm(field, axis=2).max() + 0.03
         assert np.median(rough) < 0.03
 
@@ -100,7 +105,8 @@ def test_both_views_agree_on_the_motion(replayed: Replay) -> None:
     left, right = (
         press[pressed] - rest for press, rest in zip(replayed.press_px, replayed.rest_px, strict=True)
     )
-    # The cameras stand side by side: what moves up or down does so in both by the same, but for noise (0.04 px each).
+    # The cameras stand side by side: what moves up or down does so in both by the same, but for noise (0.04
+    # px each).
     assert np.sqrt(((left - right)[:, :, 1] ** 2).mean()) < 0.1
     # Towards the camera means more disparity, by f b / z² of the height (at most 560 * 8 / 23.6² px/mm).
     nearer = -replayed.displacement_mm[pressed][:, :, 2] > 0.1

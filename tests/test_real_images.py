@@ -20,9 +20,11 @@ by_name = pytest.mark.parametrize("gel", TACT, ids=lambda gel: gel.name)
 
 
 def smooth_map_error_px(lattice: gelstereo.RestLattice, used: np.ndarray) -> np.ndarray:
-    """Distance of every marker from a polynomial map (row, column) -> pixel of degree 3, fitted to those used.
+    """Distance of every marker from a polynomial map (row, column) -> pixel of degree 3, fitted to those
+    used.
 
-    The map is fitted robustly; one wrong label is off by a pitch, and a shifted row or column by a pitch at its ends.
+    The map is fitted robustly; one wrong label is off by a pitch, and a shifted row or column by a pitch at
+    its ends.
     """
     row, col = np.divmod(np.arange(lattice.rows * lattice.cols), lattice.cols)
     row, col = row / lattice.rows - 0.5, col / lattice.cols - 0.5
@@ -61,7 +63,8 @@ def test_all_faint_markers_are_found_and_labelled(gel: RealGel, preset: str) -> 
     lattice = located.lattice
     assert (lattice.rows, lattice.cols) == (7, 9)
     assert len(located.markers) == 63 and not lattice.filled.any() and not located.cut.any()
-    # The markers are pressed by hand-made pins: up to a tenth of the pitch off a smooth map, never half of it.
+    # The markers are pressed by hand-made pins: up to a tenth of the pitch off a smooth map, never half of
+    # it.
     assert smooth_map_error_px(lattice, ~lattice.filled).max() < lattice.pitch_px / 4.0
 
 

@@ -88,8 +88,8 @@ def test_template_registers_to_its_episode(sharpened: Sharpened, part: Part) -> 
     assert all(f.result.converged for f in frames)
     assert {len(f.result.free) for f in frames} == {part.free}
     residual_mm = np.array([f.residual_mm for f in frames])
-    # Rest noise is 3 um; what is above it is the gel's shoulder and the unknown part. Most frames stay within ten
-    # times the noise, none leaves a tenth of a millimetre.
+    # Rest noise is 3 um; what is above it is the gel's shoulder and the unknown part. Most frames stay within
+    # ten times the noise, none leaves a tenth of a millimetre.
     assert np.median(residual_mm) < 0.03
     assert residual_mm.max() < 0.1
 

@@ -1,4 +1,5 @@
-"""Recordings whose writer was killed, whose disk was full or whose file was cut, in readers that nobody here wrote.
+"""Recordings whose writer was killed, whose disk was full or whose file was cut, in readers that nobody here
+wrote.
 
 Readers that need an index get what ``gelstereo-host recover`` makes of the file.
 """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -84,6 +85,17 @@ def test_error_of_a_shallow_cap_is_the_closed_form(shape: str) -> None:
         assert fit.sigma_mm == pytest.approx(expected, rel=(half_mm / radius_mm) ** 2 + 0.05)
 
 
+@pytest.mark.parametrize("shape", ["sphere", "cylinder"])
+def test_the_error_of_a_cap_is_that_of_evenly_spread_markers(shape: Literal["sphere", "cylinder"]) -> None:
+    count, half_mm = 400_000, 1.5
+    even = (np.arange(count) + 0.5) / count
+    # The squared distance from the middle is even over a disc, the distance over a strip.
+    squared_mm2 = half_mm**2 * (even if shape == "sphere" else even**2)
+    curvature_sigma = 0.003 / np.sqrt(count * np.var(0.5 * squared_mm2))
+    expected_mm = 8.0**2 * curvature_sigma
+    assert cap_radius_sigma_mm(shape, 8.0, half_mm, count, 0.003) == pytest.approx(expected_mm, rel=1e-6)
+
+
 def test_joint_fit_is_the_mean_of_equal_frames_and_narrower() -> None:
     random = np.random.default_rng(3)
     points = [
@@ -163,7 +175,8 @@ def test_expected_covariance_is_that_of_simulated_noise() -> None:
     noise = smoothed(random.normal(size=(frames + window - 1, 200000)), window) * np.sqrt(window)
     design = np.vander(np.arange(frames), degree + 1)
     left = noise - design @ np.linalg.lstsq(design, noise, rcond=None)[0]
-    # Covariances of unit variables over 200000 trials scatter by at most sqrt(2 / 200000) = 0.003; five of that.
+    # Covariances of unit variables over 200000 trials scatter by at most sqrt(2 / 200000) = 0.003; five of
+    # that.
     np.testing.assert_allclose(
         detrended_covariance(window, frames, degree), left @ left.T / 200000, atol=0.016
     )
@@ -183,7 +196,8 @@ def moving(frames: int, sequence: np.ndarray | None = None) -> CloudRecording:
 
 def test_undone_smoothing_leaves_a_fraction_of_the_smear() -> None:
     truth = moving(40).points_mm
-    # The mean of frames t-1.5 to t+1.5 stands for the middle between two frames, so an odd window is compared here.
+    # The mean of frames t-1.5 to t+1.5 stands for the middle between two frames, so an odd window is compared
+    # here.
     for window in (3, 5):
         middle = slice(window // 2, -(window // 2))
         recording = replace(

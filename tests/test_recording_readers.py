@@ -1,4 +1,5 @@
-"""A recording of the host must open in readers that nobody here wrote: PyPI's mcap, mcap-ros2-support and rosbags.
+"""A recording of the host must open in readers that nobody here wrote: PyPI's mcap, mcap-ros2-support and
+rosbags.
 
 The recording is made by `gelstereo-host run`, found through $GELSTEREO_HOST or built once by cargo.
 """
@@ -39,16 +40,6 @@ def host_binary() -> str:
     executables = [m["executable"] for m in messages if m.get("executable")]
     assert len(executables) == 1, executables
     return executables[0]
-
-
-@pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    """The path of a recording, and the run's own summary."""
-    path = tmp_path_factory.mktemp("recording") / "run.mcap"
-    command = [host_binary(), "run", "--record", str(path), "--json"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
-    return path, json.loads(done.stdout)
 
 
 def check_image(file: bytes, crc32: str) -> None:
@@ -92,7 +83,8 @@ def check_frame(points, fields: dict[str, tuple[int, int]]) -> None:
     cloud = np.frombuffer(bytes(points.data), layout)
     assert cloud.shape == (625,)
     assert set(cloud["state"]) <= {0, 1, 2} and set(cloud["salient"]) <= {0, 1}
-    # Nowhere farther than the gel's surface and noise, nowhere nearer than the gel is thick. Held ones are predicted.
+    # Nowhere farther than the gel's surface and noise, nowhere nearer than the gel is thick. Held ones are
+    # predicted.
     seen_z = cloud["z"][cloud["state"] == 0]
     assert seen_z.min() > 0.0237 and seen_z.max() < 0.0290
     # To the rest plane's tilt: it is estimated, and the indentation is along its normal.
@@ -100,9 +92,9 @@ def check_frame(points, fields: dict[str, tuple[int, int]]) -> None:
     assert np.abs(height_mm - cloud["indentation_mm"]).max() < 0.2
 
 
-def test_mcap_reads_indices_metadata_and_every_message(run):
+def test_mcap_reads_indices_metadata_and_every_message(host_run):
     reader_module = pytest.importorskip("mcap.reader", reason="PyPI's mcap is not installed")
-    path, summary = run
+    path, summary = host_run
     with path.open("rb") as stream:
         reader = reader_module.make_reader(stream, validate_crcs=True)
         assert reader.get_header().profile == "ros2"
@@ -125,11 +117,11 @@ def test_mcap_reads_indices_metadata_and_every_message(run):
     assert counts["/gelstereo/capture"] == frames + 3
 
 
-def test_rosbags_decodes_every_message_by_the_recorded_definitions(run):
+def test_rosbags_decodes_every_message_by_the_recorded_definitions(host_run):
     highlevel = pytest.importorskip("rosbags.highlevel", reason="PyPI's rosbags is not installed")
     from rosbags.typesys import Stores, get_typestore
 
-    path, summary = run
+    path, summary = host_run
     decoded = dict.fromkeys(TOPICS, 0)
     last = {}
     with highlevel.AnyReader([path], default_typestore=get_typestore(Stores.EMPTY)) as reader:
@@ -158,9 +150,9 @@ def test_rosbags_decodes_every_message_by_the_recorded_definitions(run):
     assert last["/gripper/state"].position[0] == pytest.approx(0.014)
 
 
-def test_mcap_ros2_decodes_every_message_by_the_recorded_definitions(run):
+def test_mcap_ros2_decodes_every_message_by_the_recorded_definitions(host_run):
     ros2 = pytest.importorskip("mcap_ros2.reader", reason="PyPI's mcap-ros2-support is not installed")
-    path, summary = run
+    path, summary = host_run
     decoded = dict.fromkeys(TOPICS, 0)
     for message in ros2.read_ros2_messages(str(path)):
         decoded[message.channel.topic] += 1
@@ -172,14 +164,16 @@ def test_mcap_ros2_decodes_every_message_by_the_recorded_definitions(run):
     assert all(count > 0 for count in decoded.values())
 
 
-def test_rerun_finds_images_and_clouds(run, tmp_path):
-    columns = rerun_columns(run[0], tmp_path)
+def test_rerun_finds_images_and_clouds(host_run, tmp_path):
+    columns = rerun_columns(host_run[0], tmp_path)
     assert "/gelstereo/left/image/compressed: " in columns and "/gelstereo/points: " in columns
     assert "EncodedImage:blob: " in columns and "Points3D:positions: " in columns
 
 
 def check_pose(message, localized: dict) -> None:
-    """Metres, a unit quaternion, and a covariance that is the summary's on its diagonal and positive definite."""
+    """Metres, a unit quaternion, and a covariance that is the summary's on its diagonal and positive
+    definite.
+    """
     import numpy as np
 
     rows = np.array(localized["t_sensor_object"])
@@ -196,12 +190,12 @@ def check_pose(message, localized: dict) -> None:
     assert np.linalg.eigvalsh(covariance / np.outer(sigma, sigma)).min() > 0
 
 
-def test_a_cut_recording_is_read_up_to_the_cut_by_mcap(run, tmp_path):
+def test_a_cut_recording_is_read_up_to_the_cut_by_mcap(host_run, tmp_path):
     stream_module = pytest.importorskip("mcap.stream_reader", reason="PyPI's mcap is not installed")
     from mcap.exceptions import EndOfFile, InvalidMagic
     from mcap.records import Message
 
-    path, summary = run
+    path, summary = host_run
     whole = path.read_bytes()
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(whole[: len(whole) * 6 // 10])

@@ -73,7 +73,8 @@ def test_rectification_is_opencvs(turn: tuple[float, ...], offset: tuple[float, 
 def test_undistortion_is_opencvs(lens: tuple[float, ...], pixels: list[tuple[float, float]]) -> None:
     rig = rig_of((0, 0, 0), (-8, 0, 0), lens)
     found = rig.undistort(pixels)
-    # OpenCV iterates to its criteria and not to the last bit: ask for far more than its default of five steps.
+    # OpenCV iterates to its criteria and not to the last bit: ask for far more than its default of five
+    # steps.
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-13)
     reference = opencv_undistort(np.array(pixels), np.array(lens), criteria)
     assert np.abs(found - reference).max() < 1e-9

@@ -55,8 +55,8 @@ def slip(time_s: float) -> float:
 
 def test_the_gel_springs_back_when_the_ball_slips() -> None:
     before, after, again = slip(0.5), slip(0.6), slip(1.0)
-    # It is dragged by 0.6 mm, keeps 0.3 mm, and is dragged to 0.6 mm again; some of those that the ball touches now
-    # are new, and the gel's spread adds to both sides.
+    # It is dragged by 0.6 mm, keeps 0.3 mm, and is dragged to 0.6 mm again; some of those that the ball
+    # touches now are new, and the gel's spread adds to both sides.
     assert before == pytest.approx(0.6, abs=0.12)
     assert after == pytest.approx(0.3, abs=0.12)
     assert again == pytest.approx(before, abs=0.12)

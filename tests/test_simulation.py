@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -23,7 +23,9 @@ PRESS = {
 
 
 def through_layers(pixels: Array, camera_x_mm: float, depths_mm: Array) -> Array:
-    """Follow light from a camera at (x, 0, 0) through air, acrylic and gel, by the vector form of Snell's law."""
+    """Follow light from a camera at (x, 0, 0) through air, acrylic and gel, by the vector form of Snell's
+    law.
+    """
     rays = np.column_stack(((pixels - (319.5, 239.5)) / 600.0, np.ones(len(pixels))))
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     points = np.zeros_like(rays) + (camera_x_mm, 0.0, 0.0)
@@ -60,7 +62,8 @@ def test_dots_are_drawn_where_truth_says(scene: Scene) -> None:
             window = ink[row - reach : row + reach + 1, column - reach : column + reach + 1]
             y, x = np.mgrid[row - reach : row + reach + 1, column - reach : column + reach + 1]
             found = np.array([(window * x).sum(), (window * y).sum()]) / window.sum()
-            # Half a level of 120 on the border's 2 pi r pixels, r from the centre, 0.64 on average along an axis.
+            # Half a level of 120 on the border's 2 pi r pixels, r from the centre, 0.64 on average along an
+            # axis.
             assert (
                 np.abs(found - centre).max()
                 < 2 * np.pi * radius * radius * 0.64 / 240 / (np.pi * radius**2) * 1.5
@@ -90,7 +93,8 @@ def test_normals_are_the_balls() -> None:
     expected = away / np.linalg.norm(away, axis=1, keepdims=True)
     inner = frame.in_contact & (np.hypot(away[:, 0], away[:, 1]) < 1.4)
     assert inner.sum() >= 12
-    # Central differences over two pitches of 0.65 mm on a ball of 4 mm: h'''h^2/6 is 0.017 at a slope of 0.37.
+    # Central differences over two pitches of 0.65 mm on a ball of 4 mm: h'''h^2/6 is 0.017 at a slope of
+    # 0.37.
     assert np.abs(frame.normals - expected)[inner].max() < 0.03
     assert np.allclose(np.linalg.norm(frame.normals, axis=1), 1.0)
 
@@ -104,7 +108,8 @@ def test_dropped_frames_are_missing_from_the_sequence() -> None:
     )
     simulator = Simulator(scene)
     frames = [simulator[index] for index in range(len(simulator))]
-    assert [frame.index for frame in frames] == [0, 3, 4, 5, 6]
+    assert isinstance(simulator, Iterable)
+    assert [frame.index for frame in simulator] == [frame.index for frame in frames] == [0, 3, 4, 5, 6]
     assert [frame.time_s for frame in frames] == pytest.approx([0.0, 0.1, 4 / 30, 5 / 30, 0.2])
     assert frames[1].points_mm[0, 0] - frames[0].points_mm[0, 0] == pytest.approx(0.5)
     with pytest.raises(IndexError, match="the scene has 5"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import re
 import subprocess
@@ -9,6 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from test_docs import PUBLIC_MODULES
 
 REPOSITORY = Path(__file__).parents[1]
 FETCHED = re.compile(
@@ -46,6 +48,15 @@ def test_reference_has_types_and_texts(site: Path) -> None:
     page = (site / "reference" / "sensing.html").read_text(encoding="utf-8")
     assert 'id="gelstereo.Pipeline.process"' in page  # from the stub
     assert "The first frame is the rest frame." in page  # from the library
+
+
+@pytest.mark.parametrize("name", ["", *PUBLIC_MODULES])
+def test_reference_has_an_entry_for_every_public_name(site: Path, name: str) -> None:
+    pages = [path.read_text(encoding="utf-8") for path in (site / "reference").glob("*.html")]
+    entries = {entry for page in pages for entry in re.findall(r'id="(gelstereo\.[\w.]+)"', page)}
+    path = f"gelstereo.{name}".rstrip(".")
+    names = set(importlib.import_module(path).__all__) - {"__version__"}
+    assert {f"{path}.{key}" for key in names} <= entries
 
 
 def test_tables_and_lists_are_recognized(site: Path) -> None:

@@ -30,7 +30,8 @@ def test_white_noise_scatters_as_predicted(method: str) -> None:
     noise = SIGMA_MM * random.normal(size=(200, *points.shape))
     found = scatter_by_noise(points, template, pose, list(noise), SIGMA_MM, method)
     assert found.frames == 200
-    # Three directions of 199 freedoms each: 2.9 % of a deviation; four of that. Robust weights cost some per cent.
+    # Three directions of 199 freedoms each: 2.9 % of a deviation; four of that. Robust weights cost some per
+    # cent.
     assert found.ratio == pytest.approx(1.0, abs=0.15)
     assert found.height_predicted_um == pytest.approx(1e3 * SIGMA_MM / 7.0, rel=0.1)
     assert found.height_um == pytest.approx(1e3 * SIGMA_MM / 7.0, rel=0.2)

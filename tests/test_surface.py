@@ -89,7 +89,9 @@ def test_row_13_exact_lattice_agrees_with_scipys_hull() -> None:
 
 
 def test_weights_agree_with_inserted_voronoi_regions() -> None:
-    """Sibson's weights by his definition: areas that a new marker's region takes from the others', by SciPy."""
+    """Sibson's weights by his definition: areas that a new marker's region takes from the
+    others', by SciPy.
+    """
     spatial = pytest.importorskip("scipy.spatial")
     random = np.random.default_rng(2)
     rest = lattice()[:, :2] + random.uniform(-0.2, 0.2, (ROWS * COLS, 2))

@@ -1,4 +1,5 @@
-"""gelstereo-host's task with real peers: a frame stream at 30 Hz, a Modbus gripper on a serial line, a robot bridge.
+"""gelstereo-host's task with real peers: a frame stream at 30 Hz, a Modbus gripper on a serial line, a robot
+bridge.
 
 Triggers stop the gripper within a frame; a part that falls silent stops the others; signals end a run safely.
 """
@@ -383,5 +384,6 @@ def test_triggers_of_many_runs(tmp_path: Path, press) -> None:
     assert len(image_to_wire) >= 20
     for name, values in (("image to wire", image_to_wire), ("sensed to wire", sensed_to_wire)):
         print(
-            f"{name}: p50 {np.quantile(values, 0.5):.1f} ms, p99 {np.quantile(values, 0.99):.1f} ms of {len(values)}"
+            f"{name}: p50 {np.quantile(values, 0.5):.1f} ms, p99 {np.quantile(values, 0.99):.1f} ms of "
+            f"{len(values)}"
         )

@@ -39,7 +39,8 @@ def test_it_undoes_projection(
     points_mm: np.ndarray, turn: tuple[float, ...], lens: tuple[float, ...]
 ) -> None:
     rig = turned_rig(turn, lens)
-    # Pixels are good to 1e-9 px where the distortion is inverted, and a pixel of disparity is 0.2 mm of depth.
+    # Pixels are good to 1e-9 px where the distortion is inverted, and a pixel of disparity is 0.2 mm of
+    # depth.
     assert np.abs(triangulate(rig, *rig.project(points_mm)) - points_mm).max() < 1e-9
 
 
@@ -52,7 +53,8 @@ def test_it_is_opencvs_reprojection(points_mm: np.ndarray, epipolar_px: float) -
     )
     found = triangulate(RIG, left, right)
     assert np.abs(found - homogeneous[:, :3] / homogeneous[:, 3:]).max() < 1e-10
-    # OpenCV takes Q with its own sign of the baseline and 32-bit disparities: 2^-24 of 160 px, times 0.2 mm/px.
+    # OpenCV takes Q with its own sign of the baseline and 32-bit disparities: 2^-24 of 160 px, times 0.2
+    # mm/px.
     disparity = (left[:, 0] - right[:, 0]).astype(np.float32).reshape(-1, 1)
     opencv = cv2.reprojectImageTo3D(disparity, np.array(RIG.rectification().q))[:, 0]
     assert np.abs(opencv[:, 2] - found[:, 2]).max() < 1e-4

@@ -8,7 +8,8 @@ from outside.discs import CONDITIONS
 from outside.judge_discs import judged
 
 #: Least share of markers found beside OpenCV's, and of names that are SEEN; most false detections an image.
-#: Under a smear OpenCV finds markers of which half is hidden, 0.1 px off in the mean; here 1.7 % fewer are found.
+#: Under a smear OpenCV finds markers of which half is hidden, 0.1 px off in the mean; here 1.7 % fewer are
+#: found.
 BOUNDS = {
     "six smears": (-0.025, 0.90, 0.5),
     "dust": (-0.001, 0.99, 6.0),

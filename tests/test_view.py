@@ -74,7 +74,7 @@ def test_drawing_is_placed_to_a_fraction_of_a_pixel() -> None:
 
 def test_pose_in_words() -> None:
     words = pose_in_words(se3_exp([0, np.pi / 2, 0, 0, 0, 0]))
-    assert words == "position (0.00, 0.00, 0.00) mm, rotation (0.0, 90.0, 0.0) deg"
+    assert words == "sensor frame: position (0.00, 0.00, 0.00) mm, rotation vector (0.0, 90.0, 0.0) deg"
 
 
 def message(name: str, /, **fields: Any) -> Any:
@@ -189,7 +189,7 @@ def test_a_recording_gives_the_moment_of_its_pose(tmp_path: Path, noisy_press: l
     assert moment.part is not None
     assert np.abs(np.linalg.norm(moment.part.vertices_mm - POSE[:3, 3], axis=1) - 4.0).max() < 0.05
     assert moment.title == "run.mcap: part located, frame 3"
-    assert moment.notes == [pose_in_words(POSE), "free: spin about z"]
+    assert moment.notes == [pose_in_words(POSE), "free, object frame: spin about z"]
     assert draw(moment).shape[2] == 3
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
 from pathlib import Path
@@ -29,28 +28,20 @@ PATIENCE_S = 120.0
 
 
 @pytest.fixture(scope="module")
-def recording(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict]:
-    path = tmp_path_factory.mktemp("steps") / "run.mcap"
-    command = [host_binary(), "run", "--record", str(path), "--json"]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    return path, json.loads(done.stdout)
+def steps(host_run: tuple[Path, dict]) -> list[Step]:
+    return list(Steps(host_run[0]))
 
 
-@pytest.fixture(scope="module")
-def steps(recording: tuple[Path, dict]) -> list[Step]:
-    return list(Steps(recording[0]))
-
-
-def test_there_is_a_step_for_each_stage_that_senses(steps: list[Step], recording: tuple[Path, dict]) -> None:
+def test_there_is_a_step_for_each_stage_that_senses(steps: list[Step], host_run: tuple[Path, dict]) -> None:
     assert [step.stage for step in steps] == STAGES
     assert [step.number for step in steps] == list(range(len(STAGES)))
-    frames = {stage["stage"]: stage["frames"] for stage in recording[1]["stages"]}
+    frames = {stage["stage"]: stage["frames"] for stage in host_run[1]["stages"]}
     ends = np.cumsum([frames[name] for name in STAGES]) - 1
     assert [step.index for step in steps] == list(ends)
 
 
-def test_a_step_has_what_was_known_then(steps: list[Step], recording: tuple[Path, dict]) -> None:
-    summary = recording[1]
+def test_a_step_has_what_was_known_then(steps: list[Step], host_run: tuple[Path, dict]) -> None:
+    summary = host_run[1]
     assert [step.t_sensor_object is not None for step in steps] == [False, False, True, True, True, False]
     localized = summary["localized"]
     np.testing.assert_allclose(steps[2].t_sensor_object, localized["t_sensor_object"], atol=1e-9)
@@ -65,9 +56,9 @@ def test_a_step_has_what_was_known_then(steps: list[Step], recording: tuple[Path
 
 
 def test_motion_in_a_picture_counts_from_the_reference_of_the_stage(
-    steps: list[Step], recording: tuple[Path, dict]
+    steps: list[Step], host_run: tuple[Path, dict]
 ) -> None:
-    walked = Steps(recording[0])
+    walked = Steps(host_run[0])
     for step in steps:
         moment = walked.moment(step)
         seen = moment.state == 0
@@ -78,19 +69,19 @@ def test_motion_in_a_picture_counts_from_the_reference_of_the_stage(
 
 @pytest.mark.parametrize("every", [1, 7, 1000])
 def test_every_so_many_frames_and_always_the_last(
-    every: int, steps: list[Step], recording: tuple[Path, dict]
+    every: int, steps: list[Step], host_run: tuple[Path, dict]
 ) -> None:
-    found = [step.index for step in Steps(recording[0], every)]
+    found = [step.index for step in Steps(host_run[0], every)]
     last = steps[-1].index
     assert last is not None and found == sorted({*range(0, last + 1, every), last})
-    events = [event for step in Steps(recording[0], every) for event in step.events]
+    events = [event for step in Steps(host_run[0], every) for event in step.events]
     assert events == ["trigger: grasp", "trigger: insertion"]
 
 
 def test_a_recording_that_was_cut_off_has_the_steps_before_the_cut(
-    tmp_path: Path, steps: list[Step], recording: tuple[Path, dict]
+    tmp_path: Path, steps: list[Step], host_run: tuple[Path, dict]
 ) -> None:
-    whole, cut = recording[0].read_bytes(), tmp_path / "cut.mcap"
+    whole, cut = host_run[0].read_bytes(), tmp_path / "cut.mcap"
     for share in (0.2, 0.5, 0.9):
         cut.write_bytes(whole[: int(share * len(whole))])
         found = list(Steps(cut))
@@ -120,9 +111,9 @@ def test_what_has_no_steps_is_an_error(tmp_path: Path) -> None:
         list(Steps(tmp_path / "missing.mcap"))
 
 
-def test_a_folder_gets_pictures_and_a_page(tmp_path: Path, recording: tuple[Path, dict]) -> None:
+def test_a_folder_gets_pictures_and_a_page(tmp_path: Path, host_run: tuple[Path, dict]) -> None:
     folder = tmp_path / "out" / "steps"
-    assert main(["view", str(recording[0]), "--steps", str(folder)]) == 0
+    assert main(["view", str(host_run[0]), "--steps", str(folder)]) == 0
     page = Tree((folder / "index.html").read_text()).root
     shown = [image.attributes["src"] for image in page.find_all("img")]
     assert shown == [f"{number:03d}_{name}.png" for number, name in enumerate(STAGES)]
@@ -133,23 +124,23 @@ def test_a_folder_gets_pictures_and_a_page(tmp_path: Path, recording: tuple[Path
     assert green > 200, "the part's edges"
     assert "The run ended: inserted" in page.text
     # A later, shorter look leaves nothing of the earlier one.
-    assert main(["view", str(recording[0]), "--steps", str(folder), "--every", "1000"]) == 0
+    assert main(["view", str(host_run[0]), "--steps", str(folder), "--every", "1000"]) == 0
     assert len(list(folder.glob("*.png"))) == 2
 
 
 def test_a_folder_of_other_files_is_left_alone(
-    tmp_path: Path, recording: tuple[Path, dict], capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, host_run: tuple[Path, dict], capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "000_mine.png").write_text("mine")
-    assert main(["view", str(recording[0]), "--steps", str(tmp_path)]) == 2
+    assert main(["view", str(host_run[0]), "--steps", str(tmp_path)]) == 2
     assert "valid is a new or an empty folder" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["000_mine.png"]
 
 
-def test_rerun_reads_what_was_logged(tmp_path: Path, recording: tuple[Path, dict]) -> None:
+def test_rerun_reads_what_was_logged(tmp_path: Path, host_run: tuple[Path, dict]) -> None:
     pytest.importorskip("rerun", reason="PyPI's rerun-sdk is not installed")
     path = tmp_path / "run.rrd"
-    assert main(["view", str(recording[0]), "--rerun", str(path)]) == 0
+    assert main(["view", str(host_run[0]), "--rerun", str(path)]) == 0
 
     def rrd(*words: str) -> str:
         command = [sys.executable, "-m", "rerun", "rrd", *words, str(path)]
@@ -164,25 +155,25 @@ def test_rerun_reads_what_was_logged(tmp_path: Path, recording: tuple[Path, dict
 
 def test_without_rerun_the_extra_is_named(
     tmp_path: Path,
-    recording: tuple[Path, dict],
+    host_run: tuple[Path, dict],
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     for module in ("step_rerun", "rerun_stream"):
         monkeypatch.delitem(sys.modules, f"gelstereo.view.{module}", raising=False)
     monkeypatch.setitem(sys.modules, "rerun", None)
-    assert main(["view", str(recording[0]), "--rerun", str(tmp_path / "run.rrd")]) == 2
+    assert main(["view", str(host_run[0]), "--rerun", str(tmp_path / "run.rrd")]) == 2
     assert "pip install 'gelstereo[rerun]'" in capsys.readouterr().err
 
 
 def test_without_a_display_the_folder_is_named(
-    recording: tuple[Path, dict], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    host_run: tuple[Path, dict], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    assert main(["view", str(recording[0]), "--window"]) == 2
+    assert main(["view", str(host_run[0]), "--window"]) == 2
     assert "use --steps FOLDER" in capsys.readouterr().err
-    assert main(["view", str(recording[0]), "--rerun"]) == 2
+    assert main(["view", str(host_run[0]), "--rerun"]) == 2
     assert "--rerun FILE" in capsys.readouterr().err
 
 

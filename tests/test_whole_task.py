@@ -1,7 +1,9 @@
-"""The whole task: gelstereo-host sees a simulated world through a frame stream, a serial gripper and a robot bridge.
+"""The whole task: gelstereo-host sees a simulated world through a frame stream, a serial gripper and a robot
+bridge.
 
-Every part is a process: the world (firmware-host/examples/world_server.rs), the camera's feeder, the gripper (pymodbus
-on a pseudo-terminal), the robot's bridge (examples/robot_bridge.py) and the host. The world has the truth.
+Every part is a process: the world (firmware-host/examples/world_server.rs), the camera's feeder, the gripper
+(pymodbus on a pseudo-terminal), the robot's bridge (examples/robot_bridge.py) and the host. The world has the
+truth.
 """
 
 from __future__ import annotations
@@ -20,7 +22,7 @@ from gripper_peers.wire import Faults
 from slow_line import SlowLine
 from test_recording_readers import host_binary
 from whole_task.cell import Cell, Outcome, Setting, cell
-from whole_task.judge import assert_at_rest, assert_triggers, assert_true, frames
+from whole_task.judge import Delay, assert_at_rest, assert_triggers, assert_true, frames
 
 pytest.importorskip("pymodbus")
 mcap_reader = pytest.importorskip("mcap.reader")
@@ -53,9 +55,10 @@ def test_the_task_is_done_through_real_protocols(tmp_path: Path, kind: str) -> N
     with cell(tmp_path, Setting(1, kind)) as opened:
         outcome = run_to_the_end(opened)
     assert outcome.kind == "inserted", (outcome.report, outcome.truth)
-    # Half a step of the 2F-85's width puts the part off by 0.09 mm; a pose from a frame with moving fingers by 0.25 mm.
+    # Half a step of the 2F-85's width puts the part off by 0.09 mm; a pose from a frame with moving fingers
+    # by 0.25 mm.
     assert outcome.truth["lateral_mm"] < 0.15, outcome.truth
-    assert_triggers(outcome, frames(opened.recording), opened.lateness.longest_s)
+    assert_triggers(outcome, frames(opened.recording), Delay(opened.lateness.longest_s))
 
 
 def test_a_robot_that_answers_slowly_is_stopped_after_one_status(tmp_path: Path) -> None:
@@ -70,7 +73,8 @@ def test_a_robot_that_answers_slowly_is_stopped_after_one_status(tmp_path: Path)
         sent_ns = next(request.time_ns for request in line.requests if request.name == "stop")
         sensed_ns = sent_ns - int(1e6 * stop["sensed_to_wire_ms"])
         waited = [r.name for r in line.requests if sensed_ns <= r.time_ns < sent_ns]
-        # The host's clock stops when the bytes are sent, the line's when they came: one status may lie between.
+        # The host's clock stops when the bytes are sent, the line's when they came: one status may lie
+        # between.
         assert waited in ([], ["status"]), waited
         line.close()
 
@@ -121,8 +125,8 @@ def test_twenty_seeds_are_inserted_or_refused_with_a_reason(tmp_path: Path) -> N
         with cell(folder, Setting(seed, ("robotiq", "dh")[seed % 2])) as opened:
             outcome = run_to_the_end(opened)
             kinds[outcome.kind] += 1
-            late_s = opened.lateness.longest_s
-            exposed.update(assert_triggers(outcome, frames(opened.recording), late_s).items())
+            delay = Delay(opened.lateness.longest_s)
+            exposed.update(assert_triggers(outcome, frames(opened.recording), delay).items())
             assert outcome.report is not None
             stops += outcome.report["latency"]["stops"]
     print(kinds, "frames exposed before the stop:", exposed)

@@ -29,8 +29,10 @@ def python_page() -> str:
         "",
         GENERATED,
         "",
-        "`pip install` brings the program `gelstereo`. `experiment` and `frontier` need a clone of the repository.",
-        "The exit code is 0 when all went well, 1 when a part does not explain the contact or frames contradict the",
+        "`pip install` brings the program `gelstereo`. `experiment` and `frontier` need a clone of the "
+        "repository.",
+        "The exit code is 0 when all went well, 1 when a part does not explain the contact or frames "
+        "contradict the",
         "layers found, 2 when an input cannot be used, and 130 after Ctrl-C.",
         "",
         "```text",
@@ -108,7 +110,9 @@ def host_page(host: Path) -> str:
         "",
         GENERATED,
         "",
-        "`gelstereo-host` runs on the robot's computer. `cargo build --release -p gelstereo-host` builds it.",
+        "`gelstereo-host` runs on the robot's computer. `cargo build --release -p gelstereo-host` builds it, "
+        "and",
+        "`make dist` packages it.",
         "",
         "```text",
         top,

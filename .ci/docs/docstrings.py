@@ -33,7 +33,8 @@ def fill(parent: griffe.Object | griffe.Alias, live_parent: object) -> None:
         spell_out(member)
         if member.is_class:
             fill(member, live)
-            # The reference shows a class with the parameters of `__init__`; the bindings have `__new__` alone.
+            # The reference shows a class with the parameters of `__init__`; the bindings have `__new__`
+            # alone.
             if "__new__" in member.members:
                 member.members["__init__"] = member.members["__new__"]
 

@@ -1,4 +1,6 @@
-"""What the site adds to the pages: the kind of each page, and the files of the repository that pages link to."""
+"""What the site adds to the pages: the kind of each page, and the files of the repository that
+pages link to.
+"""
 
 from __future__ import annotations
 

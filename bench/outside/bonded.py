@@ -2,8 +2,8 @@
 
 Compliances are those of a layer of thickness h and Poisson's ratio v (Johnson 1985, section 5.7, by Fourier's
 transform), with x = k h and a modulus of 1. Pressures follow from p >= 0, u >= depth by conjugate gradients
-(Polonsky and Keer 1999). Contact uses the part's height above the displaced surface, so a marker in contact lies on the
-part.
+(Polonsky and Keer 1999). Contact uses the part's height above the displaced surface, so a marker in contact
+lies on the part.
 """
 
 from __future__ import annotations
@@ -46,7 +46,9 @@ class Layer:
 
 
 def pressed(layer: Layer, depth: Array, along_mm: Array) -> tuple[Array, Array, Array]:
-    """Displacement towards the cameras and along x and y on a square grid; `depth` is negative beside the part."""
+    """Displacement towards the cameras and along x and y on a square grid; `depth` is negative beside the
+    part.
+    """
     n, step = len(along_mm), float(along_mm[1] - along_mm[0])
     size = n + 2 * int(PADDING_MM / step)
     kx, ky = 2 * np.pi * np.fft.rfftfreq(size, step)[None, :], 2 * np.pi * np.fft.fftfreq(size, step)[:, None]

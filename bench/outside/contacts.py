@@ -1,6 +1,7 @@
 """Solve the contacts of `contacts.toml` and store them: `python -m outside.contacts [--check] [NAME ...]`.
 
-Contacts that are already in data/contacts are not solved again. Each file has all stages of one part on one gel.
+Contacts that are already in data/contacts are not solved again. Each file has all stages of one part on one
+gel.
 """
 
 from __future__ import annotations

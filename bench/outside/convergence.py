@@ -1,7 +1,7 @@
 """Mesh convergence of the stored contacts: `python -m outside.convergence [--blocks]`.
 
-Balls on a disc against meshes of half and a quarter of the element size. With `--blocks`, three dimensions: a ball on
-blocks against the finest disc, and a solid of `contacts.toml` against a finer block.
+Balls on a disc against meshes of half and a quarter of the element size. With `--blocks`, three dimensions: a
+ball on blocks against the finest disc, and a solid of `contacts.toml` against a finer block.
 """
 
 from __future__ import annotations

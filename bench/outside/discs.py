@@ -1,7 +1,7 @@
 """Discs drawn with NumPy alone under typical imaging conditions, and detection by plain OpenCV.
 
-A pixel's darkness is the fraction covered by a disc, sampled 8 x 8. Lens blur, illumination, dirt and noise are added.
-No renderer of the project is used, and the truth is exact.
+A pixel's darkness is the fraction covered by a disc, sampled 8 x 8. Lens blur, illumination, dirt and noise
+are added. No renderer of the project is used, and the truth is exact.
 """
 
 from __future__ import annotations
@@ -83,7 +83,9 @@ class Print:
         return gelstereo.Params.preset(preset).replace(lattice)
 
     def markers_mm(self, moved_mm: tuple[float, float] = (0.0, 0.0), press_mm: float = 0.0) -> Array:
-        """Markers row by row, the print moved sideways and pressed in its middle, in the left camera's frame."""
+        """Markers row by row, the print moved sideways and pressed in its middle, in the left
+        camera's frame.
+        """
         steps = (np.arange(SIDE) - (SIDE - 1) / 2) * self.condition.pitch_mm
         y, x = np.meshgrid(steps, steps, indexing="ij")
         turn = np.deg2rad(self.condition.turn_deg)
@@ -201,9 +203,10 @@ def with_tray(levels: Array, low: Array, high: Array) -> Array:
 def opencv_centres(image: Image) -> Array:
     """Detection by plain OpenCV, with one recipe for all conditions.
 
-    The background is the morphological closing of the image by an ellipse wider than a disc. A pixel belongs to a disc
-    if it is darker than the background by 0.45 of the local contrast and by 5 standard deviations of the noise.
-    Components are filtered by area and fill relative to the median; centres are weighted by contrast.
+    The background is the morphological closing of the image by an ellipse wider than a disc. A pixel belongs
+    to a disc if it is darker than the background by 0.45 of the local contrast and by 5 standard deviations
+    of the noise. Components are filtered by area and fill relative to the median; centres are weighted by
+    contrast.
     """
     smooth = cv2.GaussianBlur(image, (3, 3), 0).astype(np.float32)
     gel = cv2.GaussianBlur(
@@ -238,7 +241,9 @@ def opencv_centres(image: Image) -> Array:
 
 
 def weighted(depth: npt.NDArray[np.float32], centre: Array, area_px2: float) -> Array:
-    """Mean of the pixels about a disc, weighted by their contrast between a fifth and seven tenths of the largest."""
+    """Mean of the pixels about a disc, weighted by their contrast between a fifth and seven tenths of the
+    largest.
+    """
     reach = int(np.sqrt(area_px2 / np.pi) + 2.5)
     u, v = np.rint(centre).astype(int)
     rows, cols = slice(max(v - reach, 0), v + reach + 1), slice(max(u - reach, 0), u + reach + 1)

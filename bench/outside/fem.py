@@ -1,9 +1,10 @@
 """Finite elements: a soft layer, bonded at its back, under a rigid part with friction.
 
-The material is neo-Hookean and nearly incompressible. Bilinear elements with constant pressure (mean dilatation; Simo,
-Taylor and Pister 1985) avoid locking. Contact is evaluated with a penalty, at a disc's surface nodes or at four points
-of each face of a block. Friction is Coulomb's with return mapping. Loads are steps of the part's motion, each solved by
-Newton's method with a line search. The shear modulus is 1 and is the unit of pressures.
+The material is neo-Hookean and nearly incompressible. Bilinear elements with constant pressure (mean
+dilatation; Simo, Taylor and Pister 1985) avoid locking. Contact is evaluated with a penalty, at a disc's
+surface nodes or at four points of each face of a block. Friction is Coulomb's with return mapping. Loads are
+steps of the part's motion, each solved by Newton's method with a line search. The shear modulus is 1 and is
+the unit of pressures.
 """
 
 from __future__ import annotations
@@ -20,11 +21,14 @@ from .parts import Posed
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
-# Normal penalty in shear moduli per mm: surfaces interpenetrate by 0.5 to 3 um at the pressures of these contacts.
+# Normal penalty in shear moduli per mm: surfaces interpenetrate by 0.5 to 3 um at the pressures of these
+# contacts.
 NORMAL_PENALTY = 2000.0
-# Tangential penalty: sticking nodes move by up to 10 to 20 um at those pressures. With 200, Newton steps failed.
+# Tangential penalty: sticking nodes move by up to 10 to 20 um at those pressures. With 200, Newton steps
+# failed.
 STICK_PENALTY = 100.0
-# Blocks: the pressure starts as a parabola over this depth, and the part's curvature is included up to this pressure.
+# Blocks: the pressure starts as a parabola over this depth, and the part's curvature is included up to this
+# pressure.
 SOFT_MM = 0.002
 MAX_BEND_PRESSURE = 20.0
 
@@ -34,7 +38,9 @@ class NotConverged(RuntimeError):
 
 
 def solve(matrix: csr_matrix, right: Array) -> Array:
-    """Solve a sparse linear system with PARDISO, because SuperLU takes ten times as long in three dimensions."""
+    """Solve a sparse linear system with PARDISO, because SuperLU takes ten times as long in three
+    dimensions.
+    """
     import pypardiso
 
     return np.asarray(pypardiso.spsolve(matrix, right))
@@ -186,8 +192,8 @@ class _Bent:
 
 @dataclass(frozen=True)
 class Solved:
-    """Displacements of all degrees of freedom (mm); at the surface's nodes pressures, tractions and fraction in
-    contact.
+    """Displacements of all degrees of freedom (mm); at the surface's nodes pressures, tractions and fraction
+    in contact.
     """
 
     motion: Array
@@ -198,7 +204,9 @@ class Solved:
 
 @dataclass(frozen=True)
 class Traction:
-    """Tractions on the surface at the contact points, and their derivatives with respect to the points' positions."""
+    """Tractions on the surface at the contact points, and their derivatives with respect to the points'
+    positions.
+    """
 
     stresses: Array
     slopes: Array
@@ -208,7 +216,9 @@ class Traction:
 
 @dataclass
 class Contact:
-    """Forces between the surface's contact points and a part. `held` are the tractions of the previous step."""
+    """Forces between the surface's contact points and a part. `held` are the tractions of the
+    previous step.
+    """
 
     layer: Layer
     friction: float
@@ -294,7 +304,9 @@ class Contact:
 
 @dataclass(frozen=True)
 class _State:
-    """Residual forces of the free degrees of freedom, the magnitude of the external forces, and tractions at points."""
+    """Residual forces of the free degrees of freedom, the magnitude of the external forces, and tractions at
+    points.
+    """
 
     residual: Array
     scale: float
@@ -328,7 +340,9 @@ class _Step:
         return _State(inner[layer.free], float(np.linalg.norm(outer)) + 1e-9, found)
 
     def matrix(self, u: Array, traction: Traction) -> csr_matrix:
-        """Derivative of the residual; the contact's part couples nodes through the contact points between them."""
+        """Derivative of the residual; the contact's part couples nodes through the contact points between
+        them.
+        """
         layer = self.contact.layer
         ends, weighted = layer.surface_dofs, self.weighted
         slopes = traction.slopes[:, self.kept][:, :, self.kept]
@@ -343,7 +357,9 @@ class _Step:
         return whole[layer.free][:, layer.free].tocsr()
 
     def search(self, u: Array, change: Array, now: _State) -> tuple[Array, _State]:
-        """Line search: the first fraction of a step with sufficient decrease of the residual, or the best one tried."""
+        """Line search: the first fraction of a step with sufficient decrease of the residual, or the best one
+        tried.
+        """
         size, free = float(np.linalg.norm(now.residual)), self.contact.layer.free
         work = abs(float(now.residual @ change[free]))
         # Large steps at first contact overshoot.

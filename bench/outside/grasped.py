@@ -1,8 +1,9 @@
-"""The experiment's parts in gels with other laws than the simulator's: `python -m outside.grasped [NAME ...]`.
+"""The experiment's parts in gels with other laws than the simulator's: `python -m outside.grasped [NAME
+...]`.
 
-A file of `data/grasped` has the contacts of one part under one law: the part's poses, the displaced markers, and which
-of them touch. Stored contacts are not computed again. Frames are those of `gelstereo_bench.frontier.grasps`: the
-sensor's, in which the part presses towards -z.
+A file of `data/grasped` has the contacts of one part under one law: the part's poses, the displaced markers,
+and which of them touch. Stored contacts are not computed again. Frames are those of
+`gelstereo_bench.frontier.grasps`: the sensor's, in which the part presses towards -z.
 """
 
 from __future__ import annotations
@@ -33,7 +34,8 @@ DATA = HERE / "data" / "grasped"
 PITCH_MM = 0.9
 # Grids reach two millimetres beyond the markers.
 ALONG_MM = np.linspace(-13.0, 13.0, 209)
-# Poses are drawn until the part covers this many markers and this many touch; a soft gel touches only a few crests.
+# Poses are drawn until the part covers this many markers and this many touch; a soft gel touches only a few
+# crests.
 MIN_COVERED, MIN_TOUCHING, DRAWS = 20, 6, 40
 # Height where there is no part: far below every surface.
 NOWHERE_MM = -5.0

@@ -46,8 +46,8 @@ class Condition:
 class Sequence:
     """A rendered sequence: clean images and the truth of every frame.
 
-    `truth` has points_mm (frames x 625 x 3, sensor frame), left_px, right_px, normals and touching; markers are in
-    rows, from the first row's first.
+    `truth` has points_mm (frames x 625 x 3, sensor frame), left_px, right_px, normals and touching; markers
+    are in rows, from the first row's first.
     """
 
     name: str

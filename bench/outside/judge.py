@@ -1,9 +1,11 @@
-"""Evaluate presets on the rendered pairs: `python -m outside.judge [--half w|j] [--preset NAME ...] [--jpeg QUALITY]`.
+"""Evaluate presets on the rendered pairs: `python -m outside.judge [--half w|j] [--preset NAME ...] [--jpeg
+QUALITY]`.
 
 Markers under glints count only in their own column. For the others:
 - missed: not SEEN; wrong: SEEN, and nearest to another marker's true centre;
-- centres: error of SEEN centres, px rms an axis, and that of a detector on each image alone over the variance that it
-  states: NSE, 1 is right, less is too cautious; strays: detections beyond 2 px of every centre, for each image;
+- centres: error of SEEN centres, px rms an axis, and its square over the variance that the frame states: NSE,
+  1 is right, less is too cautious; then the NSE of a detector on each image alone, which cannot see folds;
+  strays: detections beyond 2 px of every centre, for each image;
 - points: NSE of triangulated points (3 directions); depth bias and rms;
 - F1 of contact, mean over frames in which four markers or more touch.
 """
@@ -41,6 +43,7 @@ class Figures:
     strays: int = 0
     centre_errors_px: list[Array] = field(default_factory=list)
     centre_squared: list[Array] = field(default_factory=list)
+    alone_squared: list[Array] = field(default_factory=list)
     errors_mm: list[Array] = field(default_factory=list)
     squared: list[Array] = field(default_factory=list)
     glint_squared: list[Array] = field(default_factory=list)
@@ -49,7 +52,7 @@ class Figures:
     def row(self, name: str) -> str:
         """One row of the table."""
         if not self.errors_mm:
-            return f"| {name} | {len(self.failed)} of {self.frames} | all |" + 8 * " |"
+            return f"| {name} | {len(self.failed)} of {self.frames} | all |" + 9 * " |"
         centres, errors = np.concatenate(self.centre_errors_px), np.concatenate(self.errors_mm)
         cells = (
             name,
@@ -58,6 +61,7 @@ class Figures:
             f"{self.wrong}",
             f"{np.sqrt((centres**2).mean()):.3f}",
             mean_and_median(self.centre_squared),
+            mean_and_median(self.alone_squared),
             f"{self.strays / (2 * self.frames):.1f}",
             mean_and_median(self.squared),
             mean_and_median(self.glint_squared),
@@ -74,9 +78,16 @@ def mean_and_median(parts: list[Array]) -> str:
 
 
 HEAD = (
-    "| preset | failed frames | missed, % | wrong | centre rms, px | centre NSE, mean (median) | strays "
-    "| point NSE, mean (median) | the same under glints | depth bias / rms, um | F1 |\n" + 11 * "|---" + "|"
+    "| preset | failed frames | missed, % | wrong | centre rms, px | centre NSE, mean (median) "
+    "| of one image alone | strays "
+    "| point NSE, mean (median) | the same under glints | depth bias / rms, um | F1 |\n" + 12 * "|---" + "|"
 )
+
+
+def normalised(error: Array, covariance: Array) -> Array:
+    """Squared errors over their covariance, per axis."""
+    solved = np.linalg.solve(covariance, error[..., None])[..., 0]
+    return np.asarray((error * solved).sum(axis=1) / error.shape[1])
 
 
 def f1(found: Flags, true: Flags) -> float:
@@ -106,8 +117,10 @@ def misnamed(found_px: Array, true_px: Array, seen: Flags) -> int:
     return int((far.argmin(axis=1) != np.flatnonzero(seen)).sum())
 
 
-def add(figures: Figures, sequence: Sequence, index: int, frame: gelstereo.Frame) -> None:
-    """Compare one frame with its truth."""
+def add(
+    figures: Figures, sequence: Sequence, index: int, pipeline: gelstereo.Pipeline, frame: gelstereo.Frame
+) -> None:
+    """Compare the pipeline's last frame with its truth."""
     true = {key: values[index] for key, values in sequence.truth.items()}
     seen = np.asarray(frame.state).ravel() == MarkerState.SEEN
     left, points = np.asarray(frame.left_px).reshape(-1, 2), np.asarray(frame.points_mm).reshape(-1, 3)
@@ -117,14 +130,17 @@ def add(figures: Figures, sequence: Sequence, index: int, frame: gelstereo.Frame
     figures.markers += int((~glint).sum())
     figures.seen += int(clear.sum())
     figures.wrong += max(misnamed(left, true["left_px"], seen), misnamed(right, true["right_px"], seen))
-    figures.centre_errors_px += [(left - true["left_px"])[clear], (right - true["right_px"])[clear]]
+    stated = pipeline.centre_covariances_px2(frame)
+    for view, centres, covariance in zip(("left", "right"), (left, right), stated, strict=True):
+        off = (centres - true[f"{view}_px"])[clear]
+        figures.centre_errors_px.append(off)
+        figures.centre_squared.append(normalised(off, covariance[clear]))
     error = points - true["points_mm"]
     figures.errors_mm.append(error[clear, 2])
     covariance = np.asarray(frame.covariance_mm2).reshape(-1, 3, 3)
     for flags, kept in ((clear, figures.squared), (seen & glint, figures.glint_squared)):
         if flags.any():
-            solved = np.linalg.solve(covariance[flags], error[flags][..., None])[..., 0]
-            kept.append((error[flags] * solved).sum(axis=1) / 3)
+            kept.append(normalised(error[flags], covariance[flags]))
     touching = true["touching"].astype(bool)
     if touching.sum() >= 4:
         figures.f1.append(f1(np.asarray(frame.salient).ravel(), touching))
@@ -141,8 +157,7 @@ def add_detections(
     kept = close & ~glint[nearest]
     error = (found.centres_px - true_px[nearest])[kept]
     covariance = found.covariance_px2.reshape(-1, 2, 2)[kept]
-    solved = np.linalg.solve(covariance, error[..., None])[..., 0]
-    figures.centre_squared.append((error * solved).sum(axis=1) / 2)
+    figures.alone_squared.append(normalised(error, covariance))
 
 
 def judged(
@@ -166,7 +181,7 @@ def judged(
             except gelstereo.Error as error:
                 figures.failed.append(f"{sequence.name} {index}: {error}")
                 continue
-            add(figures, sequence, index, frame)
+            add(figures, sequence, index, pipeline, frame)
     return figures
 
 

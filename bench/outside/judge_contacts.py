@@ -1,9 +1,9 @@
-"""Evaluate contact detection on all stored contacts, without images: `python -m outside.judge_contacts [--half w|j]
-[--noise-um SIGMA]`.
+"""Evaluate contact detection on all stored contacts, without images: `python -m outside.judge_contacts
+[--half w|j] [--noise-um SIGMA]`.
 
-Markers 0.85 mm apart have the true displacement and noise along z, and the rules classify them. F1 is the mean over
-contacts with at least four markers in contact. `found` is the share of contacts, among those with a marker in contact,
-in which at least one is found.
+Markers 0.85 mm apart have the true displacement and noise along z, and the rules classify them. F1 is the
+mean over contacts with at least four markers in contact. `found` is the share of contacts, among those with a
+marker in contact, in which at least one is found.
 """
 
 from __future__ import annotations
@@ -35,7 +35,9 @@ RULES: list[Rule] = [
 
 @dataclass
 class Scores:
-    """Scores of one rule: F1 of contacts with at least four markers in contact; whether at least one is found."""
+    """Scores of one rule: F1 of contacts with at least four markers in contact; whether at least one is
+    found.
+    """
 
     f1: list[float] = field(default_factory=list)
     found: list[bool] = field(default_factory=list)

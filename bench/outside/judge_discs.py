@@ -1,7 +1,9 @@
-"""Evaluate presets and plain OpenCV on drawn discs: `python -m outside.judge_discs [--seeds N] [--only NAME ...]`.
+"""Evaluate presets and plain OpenCV on drawn discs: `python -m outside.judge_discs [--seeds N] [--only NAME
+...]`.
 
-Columns: markers found (a detection within 1.5 px) and false detections per image; centre rms, px per axis; then, for
-the pipeline over a sequence, failed frames, SEEN markers, and markers that are SEEN with another identity.
+Columns: markers found (a detection within 1.5 px) and false detections per image; centre rms, px per axis;
+then, for the pipeline over a sequence, failed frames, SEEN markers, and markers that are SEEN with another
+identity.
 """
 
 from __future__ import annotations
@@ -52,8 +54,8 @@ class Score:
         self.errors_px.append(found_px[near] - true_px[which[near]])
 
     def add_frame(self, frame: gelstereo.Frame, true_px: tuple[Array, Array], names: Array) -> None:
-        """Compare labels with the truth, whose markers have these names; labels of a rotated print may start at another
-        corner.
+        """Compare labels with the truth, whose markers have these names; labels of a rotated print may start
+        at another corner.
         """
         seen = np.asarray(frame.state).ravel() == MarkerState.SEEN
         self.named += len(seen)

@@ -9,11 +9,11 @@ across. By law, over starts of 5 degrees and 1 mm, 10 and 2, 20 and 3.5, 30 and 
 - NEES: squared error of successes over the stated variance, per direction, median and mean; 1 is right;
 - beyond 3x: successes with the truth beyond three times that region's radius;
 - right: successes by verdict, `unsure` and `does_not_fit`;
-- wrong believed: wrong results with the verdict `fits`: with another part; from guesses on another face, turned end for
-  end or by a quarter; from ordinary starts without success, where no alternative is the truth.
+- wrong believed: wrong results with the verdict `fits`: with another part; from guesses on another face,
+  turned end for end or by a quarter; from ordinary starts without success, where no alternative is the truth.
 
-Results that are equivalent to the truth by the part's surface are not counted, because no height could distinguish
-them.
+Results that are equivalent to the truth by the part's surface are not counted, because no height could
+distinguish them.
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ STARTS = [Start(f"{deg:.0f} deg", deg, mm) for deg, mm in ((5.0, 1.0), (10.0, 2.
 # As in `gelstereo_bench.frontier.grasps`: faces steeper than this, as a cosine, are ignored in the bound.
 STEEP_COSINE = 0.35
 MIN_SALIENT = 12
-# Limits for an equivalent pose: rms distance of markers in contact, and largest penetration: two and five standard
-# deviations.
+# Limits for an equivalent pose: rms distance of markers in contact, and largest penetration: two and five
+# standard deviations.
 ALIKE_MM, WITHIN_MM = 0.06, 0.15
 
 
@@ -73,7 +73,9 @@ class Judged:
         return bool(np.sqrt(np.mean(off[self.touching] ** 2)) < ALIKE_MM and off.min() > -WITHIN_MM)
 
     def elsewhere(self) -> Array:
-        """A guess on another face: end for end about the press direction, or a quarter turn about the part's axis."""
+        """A guess on another face: end for end about the press direction, or a quarter turn about the part's
+        axis.
+        """
         turn = [0.0, 0.0, np.pi] if self.seed % 2 else list(0.5 * np.pi * self.grasp.t_sensor_object[:3, 2])
         about = np.eye(4)
         about[:3, 3] = self.grasp.centre_mm
@@ -148,10 +150,9 @@ class Figures:
 
 
 HEAD = (
-    "| law | contacts | success, % | over the bound, median | within 95 %, % | NEES, median / mean | beyond 3x, % "
-    "| right unsure / doubted, % | other part believed, % | other face believed, % | failed believed |\n"
-    + 11 * "|---"
-    + "|\n"
+    "| law | contacts | success, % | over the bound, median | within 95 %, % | NEES, median / mean | beyond "
+    "3x, % | right unsure / doubted, % | other part believed, % | other face believed, % | failed believed "
+    "|\n" + 11 * "|---" + "|\n"
 )
 
 

@@ -35,8 +35,9 @@ def traced(
 ) -> Light:
     """Irradiance by tracing photons from the light chips, until their ninth surface.
 
-    Photons are transmitted and reflected by the layers, reflected by tray and print, and counted where they hit print
-    and rings. Counts are smoothed over 1.5 cells, half a millimetre on the print; about 1 % of noise remains.
+    Photons are transmitted and reflected by the layers, reflected by tray and print, and counted where they
+    hit print and rings. Counts are smoothed over 1.5 cells, half a millimetre on the print; about 1 % of
+    noise remains.
     """
     mesh = scene.skin(surface, optics, None, 0.6)
     parts = scene.rings(optics, around, surface.half_mm)

@@ -1,7 +1,8 @@
 """Two cameras that view a print through flat layers: geometry, Snell's law and the rig as TOML.
 
-Lengths are millimetres. The world's origin is the left camera's centre; its z axis is the normal of the layers
-and points away from the cameras. The sensor frame is the left camera's: x right, y down, z along the axis.
+Lengths are millimetres. The world's origin is the left camera's centre; its z axis is the normal of the
+layers and points away from the cameras. The sensor frame is the left camera's: x right, y down, z along the
+axis.
 """
 
 from __future__ import annotations
@@ -71,8 +72,8 @@ class Optics:
     def directions(self, camera: Camera, points_mm: Array) -> Array:
         """Directions in air, at the camera, of the rays that reach points in the gel (world, n x 3).
 
-        Newton's method for the ray's slope in air: the lateral shifts in the layers sum to the point's lateral distance
-        from the camera.
+        Newton's method for the ray's slope in air: the lateral shifts in the layers sum to the point's
+        lateral distance from the camera.
         """
         offset = points_mm - camera.centre_mm
         across = np.hypot(offset[:, 0], offset[:, 1])
@@ -107,13 +108,15 @@ class Optics:
         translation = self.right.rotation.T @ (self.left.centre_mm - self.right.centre_mm)
         normal = self.left.rotation.T @ np.array([0.0, 0.0, 1.0])
         views = [
-            f"[{name}]\nwidth_px = {c.size_px[0]}\nheight_px = {c.size_px[1]}\nfx_px = {c.f_px}\nfy_px = {c.f_px}\n"
+            f"[{name}]\nwidth_px = {c.size_px[0]}\nheight_px = {c.size_px[1]}\nfx_px = {c.f_px}\nfy_px = "
+            f"{c.f_px}\n"
             f"cx_px = {c.c_px[0]}\ncy_px = {c.c_px[1]}\ndistortion = [0.0, 0.0, 0.0, 0.0, 0.0]\n"
             for name, c in (("left", self.left), ("right", self.right))
         ]
         return "\n".join(
             (
-                f"layers = {{ normal = {normal.tolist()}, gap_mm = {self.gap_mm}, plates = [{{ thickness_mm = "
+                "layers = "
+                f"{{ normal = {normal.tolist()}, gap_mm = {self.gap_mm}, plates = [{{ thickness_mm = "
                 f"{self.plate_mm}, index = {self.plate_index} }}], gel_index = {self.gel_index} }}\n",
                 *views,
                 f"[t_right_left]\nrotation_xyzw = {quaternion(rotation).tolist()}\n"

@@ -1,7 +1,7 @@
 """Rigid parts as signed distance functions, and their motion. Parts are above the gel and press towards -z.
 
-Here z is the height above the gel's bonded back, so the gel's free surface is at its thickness. Adding the back's
-height gives world coordinates; both z axes point away from the cameras.
+Here z is the height above the gel's bonded back, so the gel's free surface is at its thickness. Adding the
+back's height gives world coordinates; both z axes point away from the cameras.
 """
 
 from __future__ import annotations
@@ -37,10 +37,12 @@ def to_outline(points: Array, corners: Array) -> Array:
 
 @dataclass(frozen=True)
 class Part:
-    """A ball; a box, cylinder (axis along x) or plate (an outline along x and y) with rounded edges; a group of these.
+    """A ball; a box, cylinder (axis along x) or plate (an outline along x and y) with rounded edges; a group
+    of these.
 
-    It is rotated about its own origin. `half_mm` is the half sides of a box, (half length, radius, radius) of a
-    cylinder, or the half thickness of a plate in all three entries. `at_mm` is the position of a group's part.
+    It is rotated about its own origin. `half_mm` is the half sides of a box, (half length, radius, radius) of
+    a cylinder, or the half thickness of a plate in all three entries. `at_mm` is the position of a group's
+    part.
     """
 
     kind: str

@@ -59,7 +59,9 @@ class Print:
 
 @dataclass(frozen=True)
 class Skin:
-    """The print's surface as a mesh: vertices of a square grid (n x n x 3, world, mm); `half_mm` as the print's."""
+    """The print's surface as a mesh: vertices of a square grid (n x n x 3, world, mm); `half_mm` as the
+    print's.
+    """
 
     vertices_mm: Array
     half_mm: float
@@ -98,7 +100,9 @@ class Skin:
         return np.concatenate([t.reshape(-1, 3) for t in two])
 
     def at(self, material_mm: Array) -> Array:
-        """Positions (n x 3, world) on the mesh's triangles of points of the print (n x 2, mm from its middle)."""
+        """Positions (n x 3, world) on the mesh's triangles of points of the print (n x 2, mm from its
+        middle).
+        """
         n = len(self.vertices_mm)
         scaled = (material_mm + self.half_mm) / (2 * self.half_mm) * (n - 1)
         cell = np.clip(np.floor(scaled).astype(int), 0, n - 2)

@@ -1,8 +1,9 @@
-"""Render the pairs of `sequences.toml` that are missing in data/images: `python -m outside.render [--list] [NAME ...]`.
+"""Render the pairs of `sequences.toml` that are missing in data/images: `python -m outside.render [--list]
+[NAME ...]`.
 
-A picture is the sum of three: the print, as an emitter with its irradiance, seen through the layers by a thin lens;
-tray and mount in the same way; and the lights' reflections in the acrylic's front. A pair then takes seconds, without
-the noise of pure path tracing. Needs `requirements.txt` and LLVM (DRJIT_LIBLLVM_PATH).
+A picture is the sum of three: the print, as an emitter with its irradiance, seen through the layers by a thin
+lens; tray and mount in the same way; and the lights' reflections in the acrylic's front. A pair then takes
+seconds, without the noise of pure path tracing. Needs `requirements.txt` and LLVM (DRJIT_LIBLLVM_PATH).
 """
 
 from __future__ import annotations

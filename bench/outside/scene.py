@@ -182,7 +182,9 @@ class Ring:
 
 
 def rings(optics: Optics, around: Surroundings, half_mm: float) -> dict[str, Ring]:
-    """Walls around the gel, a brighter ledge outside them, and a mount with a window in front of the acrylic."""
+    """Walls around the gel, a brighter ledge outside them, and a mount with a window in front of
+    the acrylic.
+    """
     rim = half_mm + 1.0
     return {
         "wall": Ring(optics.back_mm + 0.01, optics.thickness_mm + 1.0, half_mm + 0.15, rim, around.wall),
@@ -204,8 +206,8 @@ def tray(parts: dict[str, Ring]) -> Node:
 
 
 def glowing(parts: dict[str, Ring], irradiances: dict[str, Array], reach_mm: float) -> Node:
-    """The rings' fronts, with radiance from their irradiance. Maps are square, rows along y, `reach_mm` in each
-    direction.
+    """The rings' fronts, with radiance from their irradiance. Maps are square, rows along y, `reach_mm` in
+    each direction.
     """
     shapes: Node = {}
     for name, ring in parts.items():
@@ -255,7 +257,9 @@ def skin(surface: Skin, optics: Optics, texture: Array | None, reflectance: floa
 
 
 def sensor(camera: Camera, focus_mm: float, samples: int, shrink: int = 1) -> Node:
-    """A thin lens. Mitsuba's has no principal point, so the film is wider and the image is cropped from it."""
+    """A thin lens. Mitsuba's has no principal point, so the film is wider and the image is
+    cropped from it.
+    """
     (width, height), (cx, cy) = camera.size_px, camera.c_px
     # Continuous coordinates of the axis are half a pixel more than those of pixel centres.
     left, right, top, bottom = cx + 0.5, width - cx - 0.5, cy + 0.5, height - cy - 0.5

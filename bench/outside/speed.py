@@ -1,12 +1,13 @@
 """Time moving frames with a tray in view, compared with OpenCV: `python -m outside.speed`.
 
-Each sequence's pairs are played forwards and backwards, so consecutive frames differ. The core's own program is timed;
-it needs cargo and the sources. OpenCV is `gelstereo_bench.frontier.baseline_fast`, in the same run and alternating with
-the presets. Its threshold is set by hand, and it receives the markers' true positions at rest.
+Each sequence's pairs are played forwards and backwards, so consecutive frames differ. The core's own program
+is timed; it needs cargo and the sources. OpenCV is `gelstereo_bench.frontier.baseline_fast`, in the same run
+and alternating with the presets. Its threshold is set by hand, and it receives the markers' true positions at
+rest.
 
 - tracking, ms: tracked frame, median;
 - afresh, ms: the same frames, each labelled as a first one;
-- OpenCV's time over this: the speed-up.
+- speed-up over OpenCV: OpenCV's time divided by this.
 """
 
 from __future__ import annotations
@@ -100,7 +101,7 @@ def main() -> int:
     program = Stopwatch.program(REPOSITORY)
     if program is None:
         parser.error("the core's program cannot be built: it needs cargo and the sources")
-    head = ("sequence", "preset", "OpenCV, ms", "tracking, ms", "OpenCV's time over this", "afresh, ms")
+    head = ("sequence", "preset", "OpenCV, ms", "tracking, ms", "speed-up over OpenCV", "afresh, ms")
     sys.stdout.write(f"| {' | '.join((*head, head[4]))} |\n{7 * '|---'}|\n")
     ratios: dict[str, list[tuple[float, float]]] = defaultdict(list)
     for sequence in map(Sequence.load, names(options.half)):

@@ -1,7 +1,7 @@
 //! From doc comments to the table of types that `src/config/reference` includes.
 //!
-//! Types are found by name, which the whole project uses once each. A type that is written by another one is described by
-//! that: `PoseFields` for `Pose`.
+//! Types are found by name, which the whole project uses once each. A type that is written by another one is
+//! described by that: `PoseFields` for `Pose`.
 
 use std::collections::BTreeMap;
 use std::error::Error;
@@ -85,7 +85,8 @@ fn collect(folder: &Path, types: &mut Types) -> Result<()> {
     Ok(())
 }
 
-/// The name and description of a type that files hold; the fault, if it is written in a way that is not read here.
+/// The name and description of a type that files hold; the fault, if it is written in a way that is not read
+/// here.
 fn item_doc(item: Item) -> Option<(String, Result<TypeDoc>)> {
     match item {
         Item::Struct(item) if is_read(&item.attrs) => {

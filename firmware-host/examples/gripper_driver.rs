@@ -2,9 +2,9 @@
 //!
 //! `cargo run -p gelstereo-host --example gripper_driver`
 //!
-//! The device here speaks lines of text over TCP: `move 20.0 50.0 0.30` (mm, mm/s, share of the force), `stop` and
-//! `status`, which it answers with the width in mm, `1` while it moves, and `1` when it holds something. A thread plays the
-//! device. CONTRIBUTING.md lists what a driver of this crate needs besides.
+//! The device here speaks lines of text over TCP: `move 20.0 50.0 0.30` (mm, mm/s, share of the force),
+//! `stop` and `status`, which it answers with the width in mm, `1` while it moves, and `1` when it holds
+//! something. A thread plays the device. CONTRIBUTING.md lists what a driver of this crate needs besides.
 #![allow(clippy::print_stdout, reason = "it is a program")]
 
 use gelstereo_host::gripper::line::{Line, open};

@@ -1,4 +1,5 @@
-//! What HID devices answer, line by line: for trials of a camera or light, and for the tests with real drivers.
+//! What HID devices answer, line by line: for trials of a camera or light, and for the tests with real
+//! drivers.
 //!
 //! ```text
 //! cargo run --example hid_probe -- list
@@ -50,7 +51,8 @@ enum Device {
         /// What to do, in this order.
         commands: Vec<String>,
     },
-    /// Make the settings of `[light]` and `[camera_hid]`, wait for the end of standard input, switch the light off.
+    /// Make the settings of `[light]` and `[camera_hid]`, wait for the end of standard input, switch the
+    /// light off.
     Settings {
         /// Configuration of `gelstereo-host`.
         config: PathBuf,
@@ -127,8 +129,9 @@ fn run(device: Device) -> Result<(), Box<dyn Error>> {
                 println!(
                     "{}",
                     json!({
-                        "path": info.path, "vendor": info.vendor, "product": info.product, "serial": info.serial,
-                        "name": info.name, "interface": info.interface, "descriptor_bytes": info.descriptor_bytes,
+                        "path": info.path, "vendor": info.vendor, "product": info.product,
+                        "serial": info.serial, "name": info.name, "interface": info.interface,
+                        "descriptor_bytes": info.descriptor_bytes,
                     })
                 );
             }

@@ -1,15 +1,17 @@
 //! The simulated hand, part, hole and sensor as a process of its own, at the pace of the clock.
 //!
-//! The tests of the whole task put a camera, a gripper and a robot between this program and `gelstereo-host`. The host
-//! then sees the world through its drivers alone, and this program has the truth about what happened.
+//! The tests of the whole task put a camera, a gripper and a robot between this program and `gelstereo-host`.
+//! The host then sees the world through its drivers alone, and this program has the truth about what
+//! happened.
 //!
 //! ```text
 //! cargo run --release --example world_server -- --config world.toml --log world.jsonl
 //! ```
 //!
-//! Prints `listening ADDRESS`. Each connection sends lines of JSON and gets one line for each; [`Ask`] lists them. After
-//! `{"ask":"frames"}` the connection carries the frame stream instead (docs/frame-stream.md). A robot stops when the
-//! connection that moved it closes, as a controller does that loses its master; fingers finish their move.
+//! Prints `listening ADDRESS`. Each connection sends lines of JSON and gets one line for each; [`Ask`] lists
+//! them. After `{"ask":"frames"}` the connection carries the frame stream instead (docs/frame-stream.md). A
+//! robot stops when the connection that moved it closes, as a controller does that loses its master; fingers
+//! finish their move.
 #![allow(clippy::print_stdout)]
 
 use clap::Parser;

@@ -94,8 +94,8 @@ impl std::fmt::Display for PartError {
             Self::Scale { diagonal_mm, units, guess } => {
                 write!(
                     f,
-                    "with units = \"{units}\" the part is {diagonal_mm:.3} mm across; a part that is held between \
-                     fingers has {MIN_DIAGONAL_MM} to {MAX_DIAGONAL_MM} mm"
+                    "with units = \"{units}\" the part is {diagonal_mm:.3} mm across; a part that is held \
+                     between fingers has {MIN_DIAGONAL_MM} to {MAX_DIAGONAL_MM} mm"
                 )?;
                 match guess {
                     Some(guess) => write!(f, " (is the file in \"{guess}\"?)"),
@@ -104,8 +104,8 @@ impl std::fmt::Display for PartError {
             }
             Self::Size { diagonal_mm } => write!(
                 f,
-                "part.shape is {diagonal_mm:.3} mm across; a part that is held between fingers has {MIN_DIAGONAL_MM} to \
-                 {MAX_DIAGONAL_MM} mm"
+                "part.shape is {diagonal_mm:.3} mm across; a part that is held between fingers has \
+                 {MIN_DIAGONAL_MM} to {MAX_DIAGONAL_MM} mm"
             ),
             Self::Mesh(error) => write!(f, "part: {error}"),
             Self::Template(error) => write!(f, "part: {error}"),

@@ -338,3 +338,34 @@ impl Replay {
         });
     }
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use std::sync::atomic::AtomicBool;
+
+    /// Replay reports changed pixels of either view, pair by pair.
+    #[test]
+    fn changed_pixels_of_either_view_are_reported() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut config = Config::default();
+        config.task.insertion_speed_mm_s = 20.0;
+        config.recording.path = folder.path().join("run.mcap");
+        crate::run::run(&config, &AtomicBool::new(false), &mut |_| {}).unwrap();
+        for (left, right) in [(false, false), (true, false), (false, true)] {
+            let mut opening = Opening::read(&config.recording.path).unwrap();
+            let mut replay = Replay::start(&mut opening, None).unwrap();
+            while replay.report.frames < 5 {
+                let Some(Item::Message { topic, data, .. }) = opening.next_item().unwrap() else { continue };
+                replay.message(topic, &data).unwrap();
+                if let (Topic::Capture, Some(note)) = (topic, &mut replay.capture) {
+                    let views = [(&mut note.left_crc32, left), (&mut note.right_crc32, right)];
+                    views.into_iter().filter(|view| view.1).for_each(|(crc32, _)| crc32.push('0'));
+                }
+            }
+            assert_eq!(replay.report.other_pixels, if left || right { 5 } else { 0 });
+            assert_eq!(replay.report.differing, 0, "the pixels are as recorded");
+        }
+    }
+}

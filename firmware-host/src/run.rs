@@ -103,9 +103,9 @@ macro_rules! host_from {
         })*
     };
 }
-host_from!(ConfigError => Config, PartError => Part, WorldError => World, HidError => Hid, SourceError => Source,
-           SensingError => Sensing, GripperError => Gripper, RobotError => Robot, RecordingError => Recording,
-           TaskError => Task, TaughtError => Taught);
+host_from!(ConfigError => Config, PartError => Part, WorldError => World, HidError => Hid,
+           SourceError => Source, SensingError => Sensing, GripperError => Gripper, RobotError => Robot,
+           RecordingError => Recording, TaskError => Task, TaughtError => Taught);
 
 /// Everything that a job works with.
 pub struct Setup {

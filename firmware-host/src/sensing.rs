@@ -42,7 +42,8 @@ impl std::fmt::Display for SensingError {
             }
             Self::Lost { seen, markers } => write!(
                 f,
-                "{seen} of {markers} markers are seen, half are needed; did the part slip or the light go out?"
+                "{seen} of {markers} markers are seen, half are needed; did the part slip or the light go \
+                out?"
             ),
         }
     }

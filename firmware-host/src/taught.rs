@@ -82,8 +82,8 @@ impl std::fmt::Display for TaughtError {
             }
             Self::Settings { path, error } => write!(
                 f,
-                "the taught goal {} does not fit this configuration: {error}; teach the goal again, or restore what it \
-                 was taught with",
+                "the taught goal {} does not fit this configuration: {error}; teach the goal again, or \
+                 restore what it was taught with",
                 path.display()
             ),
             Self::Version { path, found } => write!(

@@ -1,4 +1,5 @@
-//! All tests in one binary but for the long run, which counts the memory and the file handles of its own process.
+//! All tests in one binary but for the long run, which counts the memory and the file handles of its own
+//! process.
 mod quick_world;
 
 mod binary;

@@ -135,6 +135,17 @@ fn feetech_packets_have_the_published_checksums() {
     assert_eq!((feetech::signed(0x8003, 15), feetech::signed(3, 15)), (-3, 3));
 }
 
+/// A servo that reports its first fault in reply to a ping sends the ping's own bytes: after the echo they
+/// are a reply.
+#[test]
+fn a_reply_that_equals_its_request_is_no_second_echo() {
+    let ping = feetech::Instruction::Ping.encode(1).unwrap();
+    let mut reader = feetech::StatusReader::after(&ping);
+    assert_eq!(reader.push(&ping), None);
+    let status = reader.push(&ping).unwrap().unwrap();
+    assert_eq!((status.id, status.data, status.faults), (1, vec![], feetech::Faults(0x01)));
+}
+
 #[test]
 fn urcap_lines_are_split_and_read() {
     assert_eq!(robotiq_urcap::set(&[(Variable::Pos, 255), (Variable::Gto, 1)]), "SET POS 255 GTO 1\n");
@@ -196,7 +207,9 @@ proptest! {
 
     /// One damaged byte never gives another value: no reply, an error, or the reply of a later frame.
     #[test]
-    fn a_damaged_reply_is_never_believed((kind, address, values) in request(), at in any::<prop::sample::Index>(), mask in 1_u8..) {
+    fn a_damaged_reply_is_never_believed(
+        (kind, address, values) in request(), at in any::<prop::sample::Index>(), mask in 1_u8..,
+    ) {
         let request = of(kind, address, &values);
         let mut frame = vec![9];
         frame.extend(answer(&request, &values));
@@ -222,7 +235,9 @@ proptest! {
 
     /// Parameters with the header's bytes in them come back whole.
     #[test]
-    fn stuffed_packets_come_back(data in prop::collection::vec(prop::sample::select(vec![0xFF_u8, 0xFD, 0, 7]), 0..40)) {
+    fn stuffed_packets_come_back(
+        data in prop::collection::vec(prop::sample::select(vec![0xFF_u8, 0xFD, 0, 7]), 0..40),
+    ) {
         let written = dynamixel::Instruction::Write { address: 0x0055, data: &data };
         // An own instruction on the bus is no status.
         prop_assert_eq!(dynamixel::StatusReader::default().push(&written.encode(3)), None);

@@ -54,7 +54,8 @@ fn errors_name_what_was_found_and_what_is_valid() {
     let unknown = error("[task]\ninsertion_depth = 3\n");
     assert_eq!(
         unknown,
-        "cell.toml, line 2: there is no setting `task.insertion_depth`; did you mean `task.insertion_depth_mm`?"
+        "cell.toml, line 2: there is no setting `task.insertion_depth`; did you mean \
+        `task.insertion_depth_mm`?"
     );
     assert_eq!(
         error("preset = \"quick\""),
@@ -114,8 +115,8 @@ fn a_mesh_needs_a_unit_that_makes_sense() {
     let small = load("mm").unwrap_err().to_string();
     assert_eq!(
         small,
-        "with units = \"mm\" the part is 0.052 mm across; a part that is held between fingers has 2 to 500 mm (is \
-         the file in \"m\"?)"
+        "with units = \"mm\" the part is 0.052 mm across; a part that is held between fingers has 2 to 500 \
+         mm (is the file in \"m\"?)"
     );
     let unknown = load("millimetres").unwrap_err().to_string();
     assert_eq!(unknown, "part.shape.units is \"millimetres\"; valid is \"mm\", \"cm\", \"m\" or \"in\"");

@@ -37,7 +37,8 @@ fn usb(folder: &Path, port: &str, ids: [&str; 2], serial: Option<&str>) -> PathB
     interface
 }
 
-/// The tree as Linux 6 lays it out for an FTDI adapter, a CDC-ACM device, a standard port, a phantom one and a console.
+/// The tree as Linux 6 lays it out for an FTDI adapter, a CDC-ACM device, a standard port, a phantom one and
+/// a console.
 fn tree(folder: &Path) {
     let class = folder.join("sys/class/tty");
     let drivers = folder.join("sys/bus/drivers");
@@ -106,8 +107,8 @@ fn whoever_lacks_access_learns_the_group_or_the_rule() {
     let dialout = advise(Permissions { mode: 0o20660, gid: 20 }, Some("dialout"), HIDRAW, node);
     assert!(dialout.contains("sudo usermod -aG dialout $USER"), "{dialout}");
     let rule = advise(Permissions { mode: 0o20600, gid: 0 }, Some("root"), HIDRAW, node);
-    let expected = "SUBSYSTEM==\"hidraw\", ATTRS{idVendor}==\"2560\", ATTRS{idProduct}==\"c114\", MODE=\"0660\", \
-                    TAG+=\"uaccess\"";
+    let expected = "SUBSYSTEM==\"hidraw\", ATTRS{idVendor}==\"2560\", ATTRS{idProduct}==\"c114\", \
+                    MODE=\"0660\", TAG+=\"uaccess\"";
     assert!(rule.ends_with(expected), "{rule}");
     let port = UdevMatch { subsystem: "tty", usb: None };
     let rule = advise(Permissions { mode: 0o20600, gid: 0 }, None, port, Path::new("/dev/ttyS0"));

@@ -93,10 +93,10 @@ fn a_blade_that_covers_the_gel_goes_in_after_it_touched_a_known_face() {
 /// Only the left and the right side can be brought to the wall, each once: the third touch is the end's.
 #[test]
 fn the_end_touches_a_level_face_where_both_sides_do_not_tell_enough() {
-    let report = run(&with_wall(19));
+    let report = run(&with_wall(45));
     assert!(matches!(report.outcome, Outcome::Declined { .. }), "{}", report.why);
     assert_eq!(touches(&report), 2);
-    let report = run(&with_wall_and_floor(19));
+    let report = run(&with_wall_and_floor(45));
     assert!(inserted(&report), "{}", report.why);
     assert_eq!(touches(&report), 3);
     let truth = report.truth.unwrap();

@@ -140,7 +140,8 @@ fn the_job_runs_on_image_pairs_as_far_as_they_go() {
     std::fs::write(
         &scene,
         "indenter = { kind = \"sphere\", radius_mm = 6 }\n\
-         trajectory = [{ time_s = 0, position_mm = [4, 0, 35] }, { time_s = 0.2, position_mm = [4, 0, 34] }]\n\
+         trajectory = [{ time_s = 0, position_mm = [4, 0, 35] }, \
+         { time_s = 0.2, position_mm = [4, 0, 34] }]\n\
          [effects.sensor_noise]\n",
     )
     .unwrap();
@@ -152,8 +153,8 @@ fn the_job_runs_on_image_pairs_as_far_as_they_go() {
     assert_eq!(truth.lines().count(), 626);
 
     let config_path = folder.path().join("cell.toml");
-    let text = "rig_file = \"pairs/rig.toml\"\n[source]\nkind = \"folder\"\npath = \"pairs\"\nframe_rate_hz = 30\n\
-                [task]\nopening_speed_mm_s = 10000\n";
+    let text = "rig_file = \"pairs/rig.toml\"\n[source]\nkind = \"folder\"\npath = \"pairs\"\n\
+                frame_rate_hz = 30\n[task]\nopening_speed_mm_s = 10000\n";
     std::fs::write(&config_path, text).unwrap();
     let config = Config::load(&config_path).unwrap();
     assert!(matches!(&config.source, SourceConfig::Folder { path, .. } if *path == pairs));

@@ -93,8 +93,10 @@ proptest! {
         frames in vec((garbage(), frame()), 1..4),
         chunks in vec(1..400_usize, 1..6),
     ) {
-        let bytes =
-            frames.iter().flat_map(|(garbage, sent)| [garbage.clone(), sent.bytes()].concat()).collect::<Vec<_>>();
+        let bytes = frames
+            .iter()
+            .flat_map(|(garbage, sent)| [garbage.clone(), sent.bytes()].concat())
+            .collect::<Vec<_>>();
         let mut expected: Vec<Found> = Vec::new();
         for (garbage, sent) in frames {
             if !garbage.is_empty() {

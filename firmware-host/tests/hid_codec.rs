@@ -105,7 +105,9 @@ proptest! {
     }
 
     #[test]
-    fn an_exposure_outside_the_range_is_never_sent(us in prop_oneof![Just(0), 2_u32..10, 1_000_001..u32::MAX]) {
+    fn an_exposure_outside_the_range_is_never_sent(
+        us in prop_oneof![Just(0), 2_u32..10, 1_000_001..u32::MAX],
+    ) {
         let error = Request::SetExposure(Exposure::Us(us)).encode().unwrap_err();
         prop_assert!(matches!(error, TaraError::Value { found, .. } if found == us), "{error:?}");
     }
@@ -125,7 +127,9 @@ proptest! {
     }
 
     #[test]
-    fn a_status_other_than_1_is_refused(request in request(), mut bytes in proptest::collection::vec(any::<u8>(), 64)) {
+    fn a_status_other_than_1_is_refused(
+        request in request(), mut bytes in proptest::collection::vec(any::<u8>(), 64),
+    ) {
         let sent = request.encode().unwrap();
         bytes[..2].copy_from_slice(&sent[..2]);
         let status = match sent[..2] {
@@ -195,7 +199,9 @@ proptest! {
     }
 
     #[test]
-    fn blink1_answers_of_any_bytes_are_read_or_refused(bytes in proptest::collection::vec(any::<u8>(), 0..20)) {
+    fn blink1_answers_of_any_bytes_are_read_or_refused(
+        bytes in proptest::collection::vec(any::<u8>(), 0..20),
+    ) {
         let starts = |letter| bytes.len() >= 5 && bytes[..2] == [1, letter];
         prop_assert_eq!(Rgb::decode(&bytes).is_ok(), starts(b'r'));
         prop_assert!(Version::decode(&bytes).is_err() || starts(b'v'));
@@ -237,6 +243,7 @@ fn a_blink1_version_is_two_digits() {
     let error = Version::decode(&[1, b'v', 0, b'x', b'4']).unwrap_err();
     assert_eq!(
         error.to_string(),
-        "the light answered command 'v' with 5 bytes that start [01, 76, 00, 78, 34]; is another program using it?"
+        "the light answered command 'v' with 5 bytes that start [01, 76, 00, 78, 34]; is another program \
+        using it?"
     );
 }

@@ -96,7 +96,9 @@ fn the_decoder_named_in_recordings_is_the_pinned_one() {
 proptest! {
     /// Damaged bytes give an error or an image of the stated size, never a panic.
     #[test]
-    fn damage_does_not_panic(damage in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..8)) {
+    fn damage_does_not_panic(
+        damage in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..8),
+    ) {
         let (mut jpeg, _) = file(true);
         for (index, byte) in damage {
             let at = index.index(jpeg.len());

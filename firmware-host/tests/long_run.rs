@@ -1,8 +1,8 @@
 //! A long run at speed: memory, file handles and marker identities stay what they were.
 //!
 //! `GELSTEREO_LONG_FRAMES` sets how many frames go through the pipeline and two recordings; 24 hours at 30 Hz
-//! have 2,592,000. Without it the run is short, and shows only that the test itself works. Every tenth pair is
-//! recorded, every result is.
+//! have 2,592,000. Without it the run is short, and shows only that the test itself works. Every tenth pair
+//! is recorded, every result is.
 #![cfg(target_os = "linux")]
 #![allow(clippy::unwrap_used)]
 
@@ -156,8 +156,9 @@ fn a_long_run_keeps_memory_handles_and_identities() {
     });
     writeln!(
         std::io::stderr(),
-        "{count} frames ({:.2} h at 30 Hz), {parts:?} files; resident {before_kb} kB after a fifth, {after_kb} kB at the \
-         end; {before_handles} and {after_handles} handles; markers within {worst:.3} px of the first loop",
+        "{count} frames ({:.2} h at 30 Hz), {parts:?} files; resident {before_kb} kB after a fifth, \
+         {after_kb} kB at the end; {before_handles} and {after_handles} handles; markers within {worst:.3} \
+         px of the first loop",
         count as f64 / 30.0 / 3600.0
     )
     .unwrap();

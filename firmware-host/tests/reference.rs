@@ -70,7 +70,8 @@ fn documented() -> BTreeMap<String, Vec<SettingDoc>> {
     found
 }
 
-/// A scene's effects beyond those of the default are on the simulator's page, the rig is written by a program.
+/// A scene's effects beyond those of the default are on the simulator's page, the rig is written by a
+/// program.
 fn is_written_by_hand(path: &str) -> bool {
     let table = table(&Config::default());
     let own = leaves(&table).iter().any(|(leaf, _)| key(leaf) == path);
@@ -92,8 +93,8 @@ fn every_setting_says_what_it_means_and_when_to_change_it() {
     }
     assert!(
         lacking.is_empty(),
-        "the doc comment of each setting has a sentence that says when to change it (\"Raise it when ..\", \"Change it \
-         to ..\", \"Set it ..\"):\n{}",
+        "the doc comment of each setting has a sentence that says when to change it (\"Raise it when ..\", \
+         \"Change it to ..\", \"Set it ..\"):\n{}",
         lacking.join("\n")
     );
 }
@@ -180,8 +181,8 @@ fn names(message: &str, path: &str) -> bool {
     message.contains(&key) || in_scene || in_pose || in_rig || in_line
 }
 
-/// Each number in turn is replaced by what is not a number, by what is far too large, and by what its comment says is
-/// just outside: each is refused with an error that names it.
+/// Each number in turn is replaced by what is not a number, by what is far too large, and by what its comment
+/// says is just outside: each is refused with an error that names it.
 #[test]
 fn no_number_outside_its_range_is_accepted() {
     let documented = documented();
@@ -251,6 +252,7 @@ fn numbers_within_their_range_are_accepted_or_contradict_another_one() {
 #[test]
 fn accepted_nonsense_is_refused() {
     let cases = [
+        ("params.detect.channel", Value::String("blue".to_owned())),
         ("mount.t_pad_sensor.translation_mm[0]", Value::Float(4e9)),
         ("mount.kinematics.reach_mm", Value::Float(4e9)),
         ("recording.path", Value::String(String::new())),
@@ -287,8 +289,8 @@ fn a_camera_agrees_with_rig_and_task() {
     let size = error("size_px = [2560, 720]").unwrap_err();
     assert_eq!(
         size,
-        "source.size_px is [2560, 720], which gives views of 1280 x 720 px, but the rig is of 640 x 480 px; calibrate at \
-         this size, or take images at the rig's"
+        "source.size_px is [2560, 720], which gives views of 1280 x 720 px, but the rig is of 640 x 480 px; \
+         calibrate at this size, or take images at the rig's"
     );
     let wait = error("frame_rate_hz = 1\n[task]\nframe_timeout_s = 1.5").unwrap_err();
     assert!(wait.starts_with("task.frame_timeout_s is 1.5 s, but source.frame_rate_hz is 1 Hz"), "{wait}");
@@ -363,8 +365,10 @@ fn a_rig_file_has_the_same_checks() {
 proptest! {
     /// One slip of the finger in any key is told, and the key that was meant is among the suggestions.
     #[test]
-    fn a_slip_in_any_key_is_corrected(which in any::<prop::sample::Index>(), place in any::<prop::sample::Index>(),
-                                      slip in 0..3, letter in "[a-z]") {
+    fn a_slip_in_any_key_is_corrected(
+        which in any::<prop::sample::Index>(), place in any::<prop::sample::Index>(), slip in 0..3,
+        letter in "[a-z]",
+    ) {
         let all = leaves(&table(&Config::default()));
         let path = key(&all[which.index(all.len())].0);
         let (prefix, name) = path.rsplit_once('.').unwrap_or(("", &path));
@@ -372,14 +376,17 @@ proptest! {
         let k = place.index(name.len() - 1);
         let mut typed: Vec<char> = name.chars().collect();
         match slip {
-            0 => { typed.remove(k); }
+            0 => {
+                typed.remove(k);
+            }
             1 => typed.swap(k, k + 1),
             _ => typed.insert(k, letter.chars().next().unwrap()),
         }
         let typed: String = typed.into_iter().collect();
         let known = settings().iter().any(|s| s.path == format!("{prefix}.{typed}"));
         prop_assume!(typed != name && !known);
-        let text = if prefix.is_empty() { format!("{typed} = 1") } else { format!("[{prefix}]\n{typed} = 1") };
+        let text =
+            if prefix.is_empty() { format!("{typed} = 1") } else { format!("[{prefix}]\n{typed} = 1") };
         match Config::parse(&text, "cell.toml") {
             Err(ConfigError::Unknown { unknown, .. }) => {
                 prop_assert_eq!(unknown.line, if prefix.is_empty() { 1 } else { 2 });

@@ -98,6 +98,11 @@ fn parts_give_the_same_bits_together_and_can_be_computed_alone() {
     assert_eq!(sum, frames);
     let gap = replay(&[&path, &files[0]], None, &mut |_| {}).unwrap();
     assert!(gap.is_good() && gap.inexact.is_some(), "{gap}");
+    // A truncated part is reported even if the parts after it are whole.
+    let (bytes, cut_path) = (std::fs::read(&path).unwrap(), folder.path().join("cut.mcap"));
+    std::fs::write(&cut_path, &bytes[..bytes.len() / 2]).unwrap();
+    let cut = replay(&[&cut_path, &files[files.len() - 2]], None, &mut |_| {}).unwrap();
+    assert!(cut.truncated && cut.inexact.is_some(), "{cut}");
     let twice = replay(&[&path, &path], None, &mut |_| {}).unwrap_err().to_string();
     assert!(twice.contains("part 0 does not belong to the recording of part 0"), "{twice}");
 }

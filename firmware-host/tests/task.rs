@@ -1,4 +1,5 @@
-//! The whole job in the simulated world (simulated: noise 2 grey levels, blur 0.8 px, gel with shoulder, spread, drag).
+//! The whole job in the simulated world (simulated: noise 2 grey levels, blur 0.8 px, gel with shoulder,
+//! spread, drag).
 #![allow(clippy::unwrap_used)]
 
 use crate::quick_world;
@@ -13,6 +14,7 @@ use gelstereo_host::run::{HostError, Setup, recorded_config, run_with};
 use gelstereo_host::source::{FrameSource, Next, SourceError, StereoPair};
 use gelstereo_sim::Shape;
 use quick_world::{quick, run};
+use std::collections::VecDeque;
 use std::io::{Cursor, Write};
 use std::ops::Range;
 use std::path::PathBuf;
@@ -108,12 +110,13 @@ fn a_hole_that_is_too_small_is_felt_at_the_rim() {
     assert!(matches!(report.outcome, Outcome::Jammed { .. }), "{}", report.outcome);
     assert_eq!(truth.limit_mm, 0.0);
     let motion_px = figure(&report, Stage::Insert, "motion_px");
-    // One frame at 20 mm/s and 30 Hz moves the hand 0.67 mm, 13 px at f / z = 19.5 px/mm if all markers follow.
+    // One frame at 20 mm/s and 30 Hz moves the hand 0.67 mm, 13 px at f / z = 19.5 px/mm if all markers
+    // follow.
     assert!((5.0..18.0).contains(&motion_px), "stopped at {motion_px} px");
 }
 
-/// The job expects the 8 mm peg, but a thicker one stands there: whatever registration makes of it, the trigger stops
-/// the robot at the rim.
+/// The job expects the 8 mm peg, but a thicker one stands there: whatever registration makes of it, the
+/// trigger stops the robot at the rim.
 #[test]
 fn a_wrong_template_is_stopped_by_the_trigger() {
     let mut config = quick(1);
@@ -244,7 +247,8 @@ fn a_few_bad_frames_are_passed_over_and_more_stop_the_job() {
     assert!(!again.truncated && again.differing == 0, "{again}");
 }
 
-/// What the pipeline senses of a covered gel is no error, but a trigger that counts on a few markers feels nothing.
+/// What the pipeline senses of a covered gel is no error, but a trigger that counts on a few markers feels
+/// nothing.
 #[test]
 fn fingers_do_not_close_on_while_most_markers_are_covered() {
     let (report, _) = with_spoilt_pairs(2, Flaw::Covered);
@@ -327,4 +331,39 @@ fn an_interrupted_job_closes_its_recording() {
     assert!(!reader.truncated());
     let Some(Item::Message { topic: Topic::Stage, data, .. }) = last else { panic!("{last:?}") };
     assert!(String::from_utf8_lossy(&data).contains("interrupted"));
+}
+
+/// A camera whose pairs arrive two frames after their exposure.
+struct Late {
+    source: Box<dyn FrameSource>,
+    waiting: VecDeque<StereoPair>,
+}
+
+impl FrameSource for Late {
+    fn next_pair(&mut self, timeout: Duration, pair: &mut StereoPair) -> Result<Next, SourceError> {
+        while self.waiting.len() < 2 {
+            self.source.next_pair(timeout, pair)?;
+            self.waiting.push_back(pair.clone());
+        }
+        let next = self.source.next_pair(timeout, pair)?;
+        self.waiting.push_back(pair.clone());
+        *pair = self.waiting.pop_front().unwrap();
+        Ok(next)
+    }
+}
+
+/// The fingers stand still before the image of their last step arrives. That image decides.
+#[test]
+fn fingers_that_stand_still_are_judged_by_a_frame_exposed_afterwards() {
+    let mut config = quick(1);
+    config.params.contact.grasp_trigger_px = 1000.0;
+    let Outcome::NotGrasped { motion_px, .. } = run(&config).outcome else {
+        panic!("no part moves the markers by 1000 px");
+    };
+    config.params.contact.grasp_trigger_px = 0.99 * motion_px;
+    let mut setup = Setup::new(&config).unwrap();
+    let source = setup.devices.source;
+    setup.devices.source = Box::new(Late { source, waiting: VecDeque::new() });
+    let report = run_with(&config, setup, None, &AtomicBool::new(false), &mut |_| {}).unwrap();
+    assert!(figure(&report, Stage::Close, "motion_px") >= 0.99 * motion_px, "{}", report.outcome);
 }

@@ -1,4 +1,5 @@
-//! A taught goal against one that is given, with an error of the mount that the task does not know (simulated).
+//! A taught goal against one that is given, with an error of the mount that the task does not know
+//! (simulated).
 #![allow(clippy::unwrap_used)]
 
 use crate::quick_world;
@@ -88,7 +89,8 @@ fn a_taught_goal_belongs_to_its_settings_and_its_version() {
     assert!(missing.starts_with("cannot read the taught goal"), "{missing}");
 }
 
-/// `GELSTEREO_SEEDS=24 cargo test -p gelstereo-host --test all -- teach:: --ignored --nocapture` prints docs/task.md's table.
+/// `GELSTEREO_SEEDS=24 cargo test -p gelstereo-host --test all -- teach:: --ignored --nocapture` prints
+/// docs/task.md's table.
 #[test]
 #[ignore = "takes minutes: make test-long"]
 fn taught_and_given_goals_over_many_seeds() {

@@ -1,5 +1,5 @@
-//! Clouds of a lattice through the pressure of the gel and the dense surface: refused by name, or finite, complete, and the
-//! same again.
+//! Clouds of a lattice through the pressure of the gel and the dense surface: refused by name, or finite,
+//! complete, and the same again.
 #![no_main]
 
 use gelstereo_core::contact::{Pressure, RestSurface};

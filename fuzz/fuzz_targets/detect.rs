@@ -1,5 +1,5 @@
-//! Images of any size and content, through every rung of detection: centres are finite and lie within the image, and
-//! the same image gives the same markers again.
+//! Images of any size and content, through every rung of detection: centres are finite and lie within the
+//! image, and the same image gives the same markers again.
 #![no_main]
 
 use gelstereo_core::detect::{Detector, Markers};

@@ -1,5 +1,6 @@
-//! Whole frames through the pipeline: a small print with blotches, jumps and gaps that the bytes choose. Each frame is
-//! refused by name or gives complete and finite results, and one that is refused leaves the next one's as they would be.
+//! Whole frames through the pipeline: a small print with blotches, jumps and gaps that the bytes choose. Each
+//! frame is refused by name or gives complete and finite results, and one that is refused leaves the next
+//! one's as they would be.
 #![no_main]
 
 use gelstereo_core::camera::Camera;
@@ -32,7 +33,8 @@ fn rig() -> Rig {
     Rig::parallel(camera, 5.0)
 }
 
-/// Both views of the print: each dot may be moved, raised or gone. Where the bytes run out, all are in their places.
+/// Both views of the print: each dot may be moved, raised or gone. Where the bytes run out, all are in their
+/// places.
 fn look(u: &mut Unstructured<'_>, rest: bool) -> Result<[Vec<u8>; 2]> {
     let mut views = [vec![170_u8; WIDTH * HEIGHT], vec![170_u8; WIDTH * HEIGHT]];
     let eighth = |u: &mut Unstructured<'_>| Ok(f64::from(u.arbitrary::<i8>()?) / 8.0);

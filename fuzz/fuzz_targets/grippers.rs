@@ -1,4 +1,5 @@
-//! Replies of grippers in pieces, good and damaged: each reader gives what was sent, an error in words, or waits.
+//! Replies of grippers in pieces, good and damaged: each reader gives what was sent, an error in words, or
+//! waits.
 #![no_main]
 
 use gelstereo_host::codec::modbus::{Reply, Request, rtu, tcp};

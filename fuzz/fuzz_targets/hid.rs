@@ -1,4 +1,5 @@
-//! Answers of HID devices: any bytes are an answer, no answer, or refused by name; files are never longer than stated.
+//! Answers of HID devices: any bytes are an answer, no answer, or refused by name; files are never longer
+//! than stated.
 #![no_main]
 
 use gelstereo_host::codec::blink1::{Rgb, Version};

@@ -1,4 +1,5 @@
-//! Motion JPEG of cameras: whatever the bytes, an image of the stated size, or refused by name; twice the same.
+//! Motion JPEG of cameras: whatever the bytes, an image of the stated size, or refused by name; twice the
+//! same.
 #![no_main]
 
 use gelstereo_host::source::Gray;

@@ -1,5 +1,5 @@
-//! The lattice of a single frame, its anchor, and identities that are checked: lists fit each other, no detection has two
-//! places, answers are finite, and the same detections give the same again.
+//! The lattice of a single frame, its anchor, and identities that are checked: lists fit each other, no
+//! detection has two places, answers are finite, and the same detections give the same again.
 #![no_main]
 
 use gelstereo_core::detect::Markers;
@@ -22,7 +22,8 @@ fn shift(u: &mut Unstructured<'_>) -> Result<DVec2> {
     })
 }
 
-/// Some of the lattice's markers, moved together and each by itself, and specks; areas are those of markers, pairs, or any.
+/// Some of the lattice's markers, moved together and each by itself, and specks; areas are those of markers,
+/// pairs, or any.
 fn detections(u: &mut Unstructured<'_>, lattice: &[DVec2]) -> Result<Markers> {
     let together = shift(u)? * f64::from(u.int_in_range(0..=12_u8)?);
     let dense = u.int_in_range(4..=32_u8)?;

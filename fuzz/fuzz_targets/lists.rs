@@ -1,5 +1,6 @@
-//! Lists of markers through labels and tracks: a lattice with gaps, strays and displacements that the bytes choose, or
-//! anything at all. Answers are finite and complete, no detection has two labels, and undisturbed markers keep theirs.
+//! Lists of markers through labels and tracks: a lattice with gaps, strays and displacements that the bytes
+//! choose, or anything at all. Answers are finite and complete, no detection has two labels, and undisturbed
+//! markers keep theirs.
 #![no_main]
 
 use gelstereo_core::detect::Markers;

@@ -1,5 +1,6 @@
-//! Points of every sort through what registration is built of: the nearest is that of every distance, Gaussian sums are finite
-//! whatever their width, and no other rotation fits better than the one that is found.
+//! Points of every sort through what registration is built of: the nearest is that of every distance,
+//! Gaussian sums are finite whatever their width, and no other rotation fits better than the one that is
+//! found.
 #![no_main]
 
 use gelstereo_core::math::{DVec3, Pose};

@@ -1,5 +1,5 @@
-//! Recordings that were cut off or damaged: the reader and `recover` give what is whole, or refuse it in words; what was
-//! recovered is complete, and as long as they say.
+//! Recordings that were cut off or damaged: the reader and `recover` give what is whole, or refuse it in
+//! words; what was recovered is complete, and as long as they say.
 #![no_main]
 
 use gelstereo_host::config::RecordingConfig;

@@ -1,5 +1,5 @@
-//! Contacts with parts of every sort through every rung of registration and the localizer: refused by name, or finite,
-//! consistent, and the same again.
+//! Contacts with parts of every sort through every rung of registration and the localizer: refused by name,
+//! or finite, consistent, and the same again.
 #![no_main]
 
 use gelstereo_core::digest::Digest;
@@ -141,7 +141,8 @@ fn check(found: &Registration, points: usize) {
     }
 }
 
-/// Of any axes: on the diagonal alone, or of a few directions, without them all singular; now and then of any numbers.
+/// Of any axes: on the diagonal alone, or of a few directions, without them all singular; now and then of any
+/// numbers.
 fn covariance(u: &mut Unstructured<'_>) -> Result<Symmetric<3>> {
     let [x, y, z] = vector(u, 1e-3)?.abs().to_array();
     let mut out = [[x, 0.0, 0.0], [0.0, y, 0.0], [0.0, 0.0, z]];

@@ -1,5 +1,5 @@
-//! Rigs of any numbers: refused by name, or points, pixels and covariances that are finite; what a valid rig projects, it
-//! finds again or refuses, by every method.
+//! Rigs of any numbers: refused by name, or points, pixels and covariances that are finite; what a valid rig
+//! projects, it finds again or refuses, by every method.
 #![no_main]
 
 use gelstereo_core::camera::{Camera, Layer, Layers};

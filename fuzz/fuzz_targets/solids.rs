@@ -1,5 +1,6 @@
-//! Triangles that touch, cross, repeat and vanish, through the exact surface: finite answers that a first guess does
-//! not change, no triangle nearer than the one named, a grid within its bound; and bytes of templates.
+//! Triangles that touch, cross, repeat and vanish, through the exact surface: finite answers that a first
+//! guess does not change, no triangle nearer than the one named, a grid within its bound; and bytes of
+//! templates.
 #![no_main]
 
 use gelstereo_core::math::DVec3;

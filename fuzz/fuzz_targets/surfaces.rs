@@ -7,7 +7,8 @@ use gelstereo_core::surface::MarkerMesh;
 use libfuzzer_sys::arbitrary::{Result, Unstructured};
 use libfuzzer_sys::fuzz_target;
 
-/// Coordinates on a coarse lattice, so that points coincide and lie on lines and circles, or now and then any number.
+/// Coordinates on a coarse lattice, so that points coincide and lie on lines and circles, or now and then any
+/// number.
 fn coordinate(u: &mut Unstructured<'_>) -> Result<f64> {
     Ok(match u.int_in_range(0..=31_u8)? {
         0 => u.arbitrary()?,

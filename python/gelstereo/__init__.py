@@ -1,16 +1,16 @@
 """Visuotactile sensing with stereo markers: from a stereo frame to the pose of the part in the hand.
 
-A stereo camera looks through a clear gel at a lattice of printed markers. `Pipeline` turns its frames into tactile
-point clouds, `localize` registers the part of the cloud that is in contact to the held part's `Template`, and
-`SensorMount` converts the pose to the gripper frame.
+A stereo camera looks through a clear gel at a lattice of printed markers. `Pipeline` turns its frames into
+tactile point clouds, `localize` registers the part of the cloud that is in contact to the held part's
+`Template`, and `SensorMount` converts the pose to the gripper frame.
 
-Units and frames are in the names. Lengths are millimetres, angles radians; ``_px`` is pixels with the centre of the
-first pixel at (0, 0). ``t_a_b`` is a (4, 4) matrix that maps coordinates of frame b to frame a. The sensor frame is the
-left camera's: x right, y down, z away from the camera. Indentation is positive towards the camera. Marker
-``row * cols + col`` has that index in every array.
+Units and frames are in the names. Lengths are millimetres, angles radians; ``_px`` is pixels with the centre
+of the first pixel at (0, 0). ``t_a_b`` is a (4, 4) matrix that maps coordinates of frame b to frame a. The
+sensor frame is the left camera's: x right, y down, z away from the camera. Indentation is positive towards
+the camera. Marker ``row * cols + col`` has that index in every array.
 
-Every array that gelstereo returns is read-only; ``.copy()`` gives one that can be written to. Every error derives from
-`Error`, which is a ``ValueError``.
+Every array that gelstereo returns is read-only; ``.copy()`` gives one that can be written to. Every error
+derives from `Error`, which is a ``ValueError``.
 """
 
 from gelstereo import cameras, geometry, grippers, templates
@@ -76,6 +76,7 @@ from gelstereo._native import (
     triangulate,
     triangulate_covariance,
 )
+from gelstereo.inspection import Inspection, inspect
 from gelstereo.simulation import simulate
 from gelstereo.states import MarkerState, Sight
 
@@ -94,6 +95,7 @@ __all__ = [
     "GripperError",
     "HidError",
     "ImageError",
+    "Inspection",
     "LabelError",
     "LayerContact",
     "LayerError",
@@ -140,6 +142,7 @@ __all__ = [
     "foresight_sort",
     "geometry",
     "grippers",
+    "inspect",
     "localize",
     "pressure_saliency",
     "rest_lattice",

@@ -1,6 +1,7 @@
 """Stereo cameras by Video4Linux2: the capture code of ``gelstereo-host``, from Python.
 
-Linux only; elsewhere `open` and `list` raise `CameraError`. No hardware was used to test it: see ``docs/cameras.md``.
+Linux only; elsewhere `open` and `list` raise `CameraError`. No hardware was used to test it: see
+``docs/cameras.md``.
 
 Examples
 --------
@@ -43,7 +44,8 @@ def list() -> builtins.list[CameraInfo]:
     Returns
     -------
     list of CameraInfo
-        Ordered by number. A USB camera has two nodes; frames can be read from the one whose kind is ``"capture"``.
+        Ordered by number. A USB camera has two nodes; frames can be read from the one whose kind is
+        ``"capture"``.
 
     Raises
     ------
@@ -92,13 +94,13 @@ def open(
     format
         Pixel format of the camera. Default: ``"mjpg"``.
     size_px
-        Width and height of the device's frames as reported by its driver; side by side, this includes both views.
-        Default: (1280, 480).
+        Width and height of the device's frames as reported by its driver; side by side, this includes both
+        views. Default: (1280, 480).
     frame_rate_hz
         Default: 30.
     mode
-        ``"latest"`` returns the newest pair and counts older ones as dropped. ``"every"`` returns all in order.
-        Default: ``"latest"``.
+        ``"latest"`` returns the newest pair and counts older ones as dropped. ``"every"`` returns all in
+        order. Default: ``"latest"``.
     max_skew_ms
         Largest time difference between the images of two devices that form a pair. Default: 5.
     buffers, queue_frames

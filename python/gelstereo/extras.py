@@ -8,10 +8,13 @@ from collections.abc import Iterator
 
 from gelstereo._native import Error
 
-__all__ = ["MissingExtra", "needs", "said"]
+__all__ = ["MissingExtra"]
 
 #: Argument of `pip install` for each library; `./bench` is a folder of the project's repository.
 REQUIREMENTS = {
+    # Installed with gelstereo, except with `pip install --no-deps`.
+    "cv2": "opencv-contrib-python-headless",
+    "trimesh": "trimesh",
     "cascadio": "gelstereo[step]",
     "mcap": "gelstereo[recording]",
     "lz4": "gelstereo[recording]",

@@ -1,4 +1,5 @@
-"""Rotations, rigid motions, fits and fusion, nearest neighbours and shapes from the core, for checks and scripts.
+"""Rotations, rigid motions, fits and fusion, nearest neighbours and shapes from the core, for checks and
+scripts.
 
 Quaternions are (x, y, z, w). Twists are (ωx ωy ωz vx vy vz), radians then millimetres.
 """

@@ -22,13 +22,16 @@ if TYPE_CHECKING:
 
 __all__ = ["Gripper", "GripperError", "GripperStatus", "open"]
 
-#: Interval of status requests during a move. A Robotiq gripper reports a fault after a second without a request.
+#: Interval of status requests during a move. A Robotiq gripper reports a fault after a second without a
+#: request.
 _POLL_S = 0.02
 _DEFAULT_BAUD_RATES: Mapping[str, int] = {"dynamixel": 1_000_000, "feetech": 1_000_000}
 
 
 class Gripper:
-    """A gripper on an open port, and a context manager that closes the port and leaves the fingers as they are."""
+    """A gripper on an open port, and a context manager that closes the port and leaves the fingers as they
+    are.
+    """
 
     def __init__(self, driver: GripperDriver, port: Any) -> None:
         self._driver, self._port = driver, port
@@ -37,16 +40,16 @@ class Gripper:
         return f"<Gripper on {getattr(self._port, 'name', None) or 'a port'}>"
 
     def activate(self) -> None:
-        """Activate the gripper and wait until it is ready. Some grippers sweep their fingers unless they are active
-        already.
+        """Activate the gripper and wait until it is ready. Some grippers sweep their fingers unless they are
+        active already.
 
         Ctrl-C stops the fingers.
 
         Raises
         ------
         GripperError
-            If the gripper holds an object that activation would drop, reports a fault, does not answer, or is not ready
-            after 15 s.
+            If the gripper holds an object that activation would drop, reports a fault, does not answer, or is
+            not ready after 15 s.
         """
         self._driver.activate()
         try:
@@ -75,8 +78,8 @@ class Gripper:
         Raises
         ------
         GripperError
-            If a value is outside the gripper's range, the gripper reports a fault or does not answer, or the move
-            exceeds `timeout_s`.
+            If a value is outside the gripper's range, the gripper reports a fault or does not answer, or the
+            move exceeds `timeout_s`.
         """
         self._driver.move_to(width_mm, speed_mm_s, force)
         deadline_s = time.monotonic() + timeout_s
@@ -84,7 +87,8 @@ class Gripper:
             while (status := self._driver.status()).moving:
                 if time.monotonic() > deadline_s:
                     raise GripperError(
-                        f"the fingers still move after {timeout_s} s, at {status.width_mm:.1f} mm; they were stopped"
+                        f"the fingers still move after {timeout_s} s, at {status.width_mm:.1f} mm; they were "
+                        "stopped"
                     )
                 time.sleep(_POLL_S)
         except BaseException:
@@ -128,7 +132,8 @@ def open(kind: str, port: str, **settings: Any) -> Gripper:
     kind
         ``"robotiq"``, ``"robotiq_urcap"``, ``"dh"``, ``"on_robot"``, ``"dynamixel"`` or ``"feetech"``.
     port
-        A serial port, or a URL of pyserial's ``serial_for_url``: ``socket://192.168.1.11:63352`` is a TCP connection.
+        A serial port, or a URL of pyserial's ``serial_for_url``: ``socket://192.168.1.11:63352`` is a TCP
+        connection.
     settings
         The other settings of the configuration's table ``[gripper]``, such as ``model="2f85"``, ``unit=9``,
         ``baud_rate=115200`` or ``widths={"points": [(3, 85.0), (230, 0.0)], "max_error_mm": 0.5}``.

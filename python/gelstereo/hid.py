@@ -1,7 +1,7 @@
 """HID devices of a sensor: the control interface of an e-con Tara camera, and blink(1) lights.
 
-Reports are transferred by the library hidapi, on every system that it supports. The same code as in ``gelstereo-host``
-encodes and decodes them.
+Reports are transferred by the library hidapi, on every system that it supports. The same code as in
+``gelstereo-host`` encodes and decodes them.
 
     with gelstereo.hid.TaraControl.open() as camera:
         camera.set_exposure_us(8000)
@@ -27,14 +27,16 @@ if TYPE_CHECKING:
 __all__ = ["Blink1Light", "HidError", "HidInfo", "TaraControl", "devices"]
 
 _REPORT_BYTES = 64
-#: Number of reports that Linux buffers per reader. It bounds the reading, so that a device that sends without end
-#: cannot block the caller.
+#: Number of reports that Linux buffers per reader. It bounds the reading, so that a device that sends without
+#: end cannot block the caller.
 _MAX_WAITING = 64
 
 
 @dataclass(frozen=True)
 class HidInfo:
-    """A HID device as listed by the system. A USB device with several HID interfaces has one entry for each."""
+    """A HID device as listed by the system. A USB device with several HID interfaces has one
+    entry for each.
+    """
 
     path: str
     """Path of the device, such as ``/dev/hidraw0``."""
@@ -271,7 +273,7 @@ def _hidapi() -> ModuleType:
             return importlib.import_module(name)
         except ImportError as error:
             missing = error
-    raise HidError("HID devices need hidapi: pip install hidapi") from missing
+    raise HidError("HID devices need hidapi, which is not installed: pip install hidapi") from missing
 
 
 def _opened(info: HidInfo) -> Any:

@@ -37,15 +37,15 @@ def simulate(scene: Scene | str | Path | Mapping[str, Any]) -> Simulator:
     Parameters
     ----------
     scene
-        A `Scene`; the name of a scene that comes with the package, such as ``"grasp_cylinder"``; a path to a TOML
-        file (a ``Path``, or a ``str`` that ends in ``.toml``); TOML text; or a mapping of settings, nested or with
-        dotted names, that replace those of the default scene.
+        A `Scene`; the name of a scene that comes with the package, such as ``"grasp_cylinder"``; a path to a
+        TOML file (a ``Path``, or a ``str`` that ends in ``.toml``); TOML text; or a mapping of settings,
+        nested or with dotted names, that replace those of the default scene.
 
     Returns
     -------
     Simulator
-        A sequence of `SimulatedFrame`: both images and their ground truth. Markers in space are computed with the
-        frame, the camera views when one of their values is read, and the images when one of them is read.
+        A sequence of `SimulatedFrame`: both images and their ground truth. Markers in space are computed with
+        the frame, the camera views when one of their values is read, and the images when one of them is read.
 
     Raises
     ------

@@ -15,7 +15,9 @@ class MarkerState(IntEnum):
     SEEN = 0
     """Measured in this frame."""
     HELD = 1
-    """Not measured; its position is the previous one, or interpolated from its neighbours if it was never printed."""
+    """Not measured; its position is the previous one, or interpolated from its neighbours if it was never
+    printed.
+    """
     LOST = 2
     """Not measured for longer than ``track.max_held_frames``; its position is the last known one."""
 

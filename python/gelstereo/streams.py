@@ -1,4 +1,5 @@
-"""Frames for ``gelstereo-host sense --stream -``, to feed the host through a pipe from any camera readable in Python.
+"""Frames for ``gelstereo-host sense --stream -``, to feed the host through a pipe from any camera readable in
+Python.
 
 The format is that of ``docs/frame-stream.md``; a frame is a header of 44 bytes and its pixels.
 """
@@ -13,14 +14,20 @@ from typing import BinaryIO, Literal
 import numpy as np
 import numpy.typing as npt
 
+from gelstereo._native import Error
+
 __all__ = ["HEADER_BYTES", "MAGIC", "VERSION", "FrameWriter", "Layout", "header"]
 
 MAGIC = b"\x89GSF"
+"""First bytes of a frame."""
 VERSION = 1
+"""Version of the format."""
 _HEADER = struct.Struct("<4sBBBBQQIIIII")
 HEADER_BYTES = _HEADER.size
+"""Size of a header."""
 
 Layout = Literal["side_by_side", "side_by_side_swapped", "interleaved", "interleaved_swapped"]
+"""Arrangement of both views in one frame."""
 _LAYOUTS: dict[str, int] = {
     "side_by_side": 0,
     "side_by_side_swapped": 1,
@@ -44,35 +51,45 @@ def header(
 ) -> bytes:
     """The header of one frame.
 
-    Args:
-        payload: The pixels, or one JPEG file with both views.
-        sequence: Number of the frame; it increases by 1, and gaps count as lost frames. captured_ns: Time of exposure,
-        ``time.monotonic_ns()`` of the host's computer; ``None`` if unknown. size_px: Width and height of the frame,
-        both views together. jpeg: Whether the payload is a JPEG file instead of grey bytes. layout: Arrangement of both
-        views in the frame.
+    Parameters
+    ----------
+    payload
+        The pixels, or one JPEG file with both views.
+    sequence
+        Number of the frame; it increases by 1, and gaps count as lost frames.
+    captured_ns
+        Time of exposure, ``time.monotonic_ns()`` of the host's computer; None if unknown.
+    size_px
+        Width and height of the frame, both views together.
+    jpeg
+        Whether the payload is a JPEG file instead of grey bytes.
+    layout
+        Arrangement of both views in the frame.
 
-    Raises:
-        ValueError: The host would reject the frame.
+    Raises
+    ------
+    Error
+        The host would reject the frame.
     """
     width_px, height_px = size_px
     if not (0 < width_px <= _MAX_SIDE_PX and 0 < height_px <= _MAX_SIDE_PX) or width_px % 2:
-        raise ValueError(
+        raise Error(
             f"size_px is {size_px}; valid is an even width and 1 to {_MAX_SIDE_PX} pixels each, "
             "both views together"
         )
     if not jpeg and len(payload) != width_px * height_px:
-        raise ValueError(
+        raise Error(
             f"payload has {len(payload)} bytes; "
             f"{width_px} x {height_px} grey pixels have {width_px * height_px}"
         )
     if not 0 < len(payload) <= _MAX_PAYLOAD_BYTES:
-        raise ValueError(f"payload has {len(payload)} bytes; valid is 1 to {_MAX_PAYLOAD_BYTES}")
+        raise Error(f"payload has {len(payload)} bytes; valid is 1 to {_MAX_PAYLOAD_BYTES}")
     if layout not in _LAYOUTS:
-        raise ValueError(f"layout is {layout!r}; valid is one of {', '.join(_LAYOUTS)}")
+        raise Error(f"layout is {layout!r}; valid is one of {', '.join(_LAYOUTS)}")
     if not 0 <= sequence < 1 << 64:
-        raise ValueError(f"sequence is {sequence}; valid is 0 to 2^64 - 1")
+        raise Error(f"sequence is {sequence}; valid is 0 to 2^64 - 1")
     if captured_ns is not None and not 0 < captured_ns < 1 << 64:
-        raise ValueError(f"captured_ns is {captured_ns}; valid is 1 to 2^64 - 1, or None")
+        raise Error(f"captured_ns is {captured_ns}; valid is 1 to 2^64 - 1, or None")
     head = _HEADER.pack(
         MAGIC,
         VERSION,
@@ -117,21 +134,27 @@ class FrameWriter:
     ) -> None:
         """Writes two grey images of equal size, ``(rows, columns)``.
 
-        Args:
-            left: The left view.
-            right: The right view.
-            captured_ns: Moment of exposure by ``time.monotonic_ns()``; by default now.
+        Parameters
+        ----------
+        left
+            The left view.
+        right
+            The right view.
+        captured_ns
+            Moment of exposure by ``time.monotonic_ns()``; by default now.
 
-        Raises:
-            ValueError: The images are not grey images of equal size.
+        Raises
+        ------
+        Error
+            The images are not grey images of equal size.
         """
         for name, view in (("left", left), ("right", right)):
             if view.dtype != np.uint8 or view.ndim != 2:
-                raise ValueError(
+                raise Error(
                     f"{name} is {view.dtype} of shape {view.shape}; valid is uint8 of (rows, columns)"
                 )
         if left.shape != right.shape:
-            raise ValueError(f"left is {left.shape} and right {right.shape}; both views must have one size")
+            raise Error(f"left is {left.shape} and right {right.shape}; both views must have one size")
         self.write(np.hstack((left, right)), captured_ns=captured_ns)
 
     def write(
@@ -143,18 +166,21 @@ class FrameWriter:
     ) -> None:
         """Writes the grey frame of a stereo device, ``(rows, columns)``, with both views in it.
 
-        Args:
-            frame: Both views.
-            layout: Arrangement of the views. captured_ns: Moment of exposure by ``time.monotonic_ns()``; by default
+        Parameters
+        ----------
+        frame
+            Both views.
+        layout
+            Arrangement of the views. captured_ns: Moment of exposure by ``time.monotonic_ns()``; by default
             now.
 
-        Raises:
-            ValueError: The frame is not a grey image, or has an odd width.
+        Raises
+        ------
+        Error
+            The frame is not a grey image, or has an odd width.
         """
         if frame.dtype != np.uint8 or frame.ndim != 2:
-            raise ValueError(
-                f"frame is {frame.dtype} of shape {frame.shape}; valid is uint8 of (rows, columns)"
-            )
+            raise Error(f"frame is {frame.dtype} of shape {frame.shape}; valid is uint8 of (rows, columns)")
         height_px, width_px = frame.shape
         self._send(np.ascontiguousarray(frame).tobytes(), (width_px, height_px), False, layout, captured_ns)
 
@@ -168,14 +194,20 @@ class FrameWriter:
     ) -> None:
         """Writes one JPEG file with both views, as the camera sent it.
 
-        Args:
-            jpeg: The file's bytes.
-            size_px: Its width and height.
-            layout: Arrangement of the views. captured_ns: Moment of exposure by ``time.monotonic_ns()``; by default
+        Parameters
+        ----------
+        jpeg
+            The file's bytes.
+        size_px
+            Its width and height.
+        layout
+            Arrangement of the views. captured_ns: Moment of exposure by ``time.monotonic_ns()``; by default
             now.
 
-        Raises:
-            ValueError: The size is not valid.
+        Raises
+        ------
+        Error
+            The size is not valid.
         """
         self._send(jpeg, size_px, True, layout, captured_ns)
 

@@ -1,7 +1,7 @@
 """Meshes of parts, read with trimesh, in millimetres.
 
-Most mesh files do not state their unit, so the caller must. A size that is impossible for a hand-held part is rejected,
-with a guess of the right unit.
+Most mesh files do not state their unit, so the caller must. A size that is impossible for a hand-held part is
+rejected, with a guess of the right unit.
 """
 
 from __future__ import annotations
@@ -14,9 +14,13 @@ import numpy as np
 import numpy.typing as npt
 
 from gelstereo._native import MeshError, turned_outward
+from gelstereo.extras import needs
+from gelstereo.point_files import PointFileError, check_ply
 
 if TYPE_CHECKING:
     import trimesh
+
+__all__ = ["MeshWarning", "check_size", "load_mesh", "load_part"]
 
 Units = Literal["mm", "cm", "m", "inch"]
 #: Input of `load_part`.
@@ -50,10 +54,11 @@ def load_mesh(
     Parameters
     ----------
     mesh
-        A file that trimesh reads (STL, OBJ, PLY, GLB, ..., or STEP with the extra ``gelstereo[step]``; the parts of a
-        scene are joined), or a ``trimesh.Trimesh``.
+        A file that trimesh reads (STL, OBJ, PLY, GLB, ..., or STEP with the extra ``gelstereo[step]``; the
+        parts of a scene are joined), or a ``trimesh.Trimesh``.
     units
-        Unit of the file: ``"mm"``, ``"cm"``, ``"m"`` or ``"inch"``; ``None`` for a STEP file, which states it.
+        Unit of the file: ``"mm"``, ``"cm"``, ``"m"`` or ``"inch"``; ``None`` for a STEP file, which states
+        it.
 
     Returns
     -------
@@ -65,7 +70,8 @@ def load_mesh(
     Raises
     ------
     MeshError
-        If the units are unknown, the file is not a triangle mesh, or its size is not that of a hand-held part.
+        If the units are unknown, the file is not a triangle mesh, or its size is not that of a hand-held
+        part.
     FileNotFoundError
         If there is no such file.
 
@@ -122,8 +128,8 @@ def load_part(
     Parameters
     ----------
     part, units
-        As in `load_mesh`; or a PLY file, or ``trimesh.PointCloud`` read from one, of points with outward normals
-        (``nx``, ``ny``, ``nz``).
+        As in `load_mesh`; or a PLY file, or ``trimesh.PointCloud`` read from one, of points with outward
+        normals (``nx``, ``ny``, ``nz``).
     spacing_mm
         Distance between neighbours to which a scan's points are thinned.
 
@@ -132,8 +138,8 @@ def load_part(
     vertices_mm, triangles, None
         For a mesh, as returned by `load_mesh`.
     points_mm, normals, spacing_mm
-        For a scan: (N, 3) points and normals, and the typical distance of neighbours, larger than requested if the scan
-        is sparse.
+        For a scan: (N, 3) points and normals, and the typical distance of neighbours, larger than requested
+        if the scan is sparse.
 
     Raises
     ------
@@ -156,10 +162,11 @@ def load_part(
 
 def _scan(part: str | Path | _Loaded, loaded: _Loaded) -> trimesh.PointCloud | None:
     """The points of a part without triangles. Read as a mesh, a file of points is empty."""
-    import trimesh
-
     if len(getattr(loaded, "faces", ())):
         return None
+    with needs(__name__):
+        import trimesh
+
     again = trimesh.load(part, process=False) if isinstance(part, (str, Path)) else loaded
     return again if len(getattr(again, "vertices", ())) else None
 
@@ -175,8 +182,8 @@ def _points_and_normals(
         )
     if not {"nx", "ny", "nz"} <= set(vertex.get("properties", ())):
         raise MeshError(
-            f"{name} has no triangles, and its {len(points)} points have no normals; valid is a mesh, or points "
-            "with outward normals (nx, ny, nz) in a PLY file"
+            f"{name} has no triangles, and its {len(points)} points have no normals; valid is a mesh, or "
+            "points with outward normals (nx, ny, nz) in a PLY file"
         )
     data = vertex["data"]
     normals = np.column_stack([np.asarray(data[axis], np.float64).ravel() for axis in ("nx", "ny", "nz")])
@@ -220,8 +227,8 @@ def _facing_outward(
         told.append(f"{stray} of {len(triangles)} triangles faced the wrong way and have been turned")
     if surface.boundary_edges:
         told.append(
-            f"it has holes ({surface.boundary_edges} edges with a triangle on one side alone): distances are exact, "
-            "but inside and outside are told apart near its faces only"
+            f"it has holes ({surface.boundary_edges} edges with a triangle on one side alone): distances are "
+            "exact, but inside and outside are distinguished only near its faces"
         )
     if told:
         warnings.warn(f"{name}: {'; '.join(told)}", MeshWarning, stacklevel=4)
@@ -265,24 +272,30 @@ def check_size(extents: npt.NDArray[np.float64], units: Units) -> None:
 
 
 def _read(path: Path) -> _Loaded:
-    import trimesh
+    with needs(__name__):
+        import trimesh
 
     if not path.is_file():
         raise FileNotFoundError(2, "No such mesh file", str(path))
     try:
+        if path.suffix.lower() == ".ply":
+            check_ply(path)
         return trimesh.load(path, force="mesh", process=False)
     except FileNotFoundError as error:
         # The file exists; the missing file is the intermediate one from the conversion of a STEP file.
         raise MeshError(
             f"{path} cannot be read as a triangle mesh: it is not a complete STEP file"
         ) from error
+    except PointFileError as error:
+        raise MeshError(f"{path} cannot be read as a triangle mesh: {error}; valid is {_WHOLE}") from error
     except ImportError as error:
         # trimesh requests other packages for formats that it cannot read itself, and for invalid text.
         extra = "; pip install 'gelstereo[step]'" if path.suffix.lower() in _STEP else ""
         raise MeshError(
-            f"{path} cannot be read as a triangle mesh without another package ({error}); valid is {_WHOLE}{extra}"
+            f"{path} cannot be read as a triangle mesh without another package ({error}); valid is "
+            f"{_WHOLE}{extra}"
         ) from error
-    except (ValueError, KeyError, IndexError, AttributeError, TypeError, NotImplementedError) as error:
+    except (ValueError, LookupError, AttributeError, NameError, TypeError, NotImplementedError) as error:
         why = (
             str(error)
             if isinstance(error, (ValueError, NotImplementedError))

@@ -1,11 +1,11 @@
 """Grippers behind pymodbus: framing, checksums, functions and exceptions are pymodbus's own.
 
-Only how position and status follow the commands is written here, from the vendors' register tables. Every command that
-is written is printed as a line, so that a test can see what was asked.
+Only how position and status follow the commands is written here, from the vendors' register tables. Every
+command that is written is printed as a line, so that a test can see what was asked.
 
-usage: modbus_server.py robotiq|dh|onrobot PORT [HELD]     PORT is a serial port, or a TCP port number on loopback.
-HELD is where something stops the fingers that close, in the gripper's own counts. The environment variable ACTIVATION_S
-is how long an activation takes.
+usage: modbus_server.py robotiq|dh|onrobot PORT [HELD] PORT is a serial port, or a TCP port number on
+loopback. HELD is where something stops the fingers that close, in the gripper's own counts. The environment
+variable ACTIVATION_S is how long an activation takes.
 """
 
 from __future__ import annotations
@@ -37,7 +37,9 @@ class Gripper(Protocol):
 
 
 class Finger:
-    """A position that goes to its target, and is held up on the way where something is between the fingers."""
+    """A position that goes to its target, and is held up on the way where something is between
+    the fingers.
+    """
 
     def __init__(self, position: float, held: float | None, closing: int) -> None:
         self.position, self.target, self.speed = position, position, 0.0

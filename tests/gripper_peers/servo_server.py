@@ -1,7 +1,7 @@
 """A bus servo on a serial port: a control table whose position follows its goal.
 
-Dynamixel packets are framed, stuffed and checked by ROBOTIS's own SDK (``dynamixel_sdk``). rustypot, a published driver
-of both kinds, drives the same server in the tests as a check on it.
+Dynamixel packets are framed, stuffed and checked by ROBOTIS's own SDK (``dynamixel_sdk``). rustypot, a
+published driver of both kinds, drives the same server in the tests as a check on it.
 
 usage: servo_server.py dynamixel|feetech PORT [HELD_POSITION]
 """

@@ -1,7 +1,7 @@
 """A Robotiq gripper behind the text protocol of the Robotiq Gripper URCap.
 
-It has the registers of `modbus_server`'s 2F-85. No server of this protocol by others was found. pyrobotiqur, a
-published client, drives this one in the tests as a check on it.
+It has the registers of `modbus_server`'s 2F-85. No server of this protocol by others was found. pyrobotiqur,
+a published client, drives this one in the tests as a check on it.
 
 usage: urcap_server.py PORT [HELD]
 The environment variable ANSWER_S is how long every answer takes.

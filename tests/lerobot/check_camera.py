@@ -1,4 +1,6 @@
-"""The camera plugin under LeRobot's own loader. Run by tests/test_lerobot.py in an environment that has LeRobot."""
+"""The camera plugin under LeRobot's own loader. Run by tests/test_lerobot.py in an environment that has
+LeRobot.
+"""
 
 from __future__ import annotations
 

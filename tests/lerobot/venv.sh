@@ -1,9 +1,10 @@
 #!/bin/sh
 # Makes a virtual environment with LeRobot's own loader: tests/lerobot/venv.sh FOLDER
 #
-# LeRobot depends on torch, whose wheels for Linux on x86-64 bring gigabytes of CUDA along. Plugins and cameras are
-# loaded without torch. Datasets need it: the torch of the interpreter is used, for example Debian's
-# (apt-get install python3-torch python3-torchvision, 152 MB). LEROBOT_PYTHON names another interpreter.
+# LeRobot depends on torch, whose wheels for Linux on x86-64 bring gigabytes of CUDA along. Plugins and
+# cameras are loaded without torch. Datasets need it: the torch of the interpreter is used, for example
+# Debian's (apt-get install python3-torch python3-torchvision, 152 MB). LEROBOT_PYTHON names another
+# interpreter.
 set -eu
 folder=$1
 here=$(dirname "$0")

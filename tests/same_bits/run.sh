@@ -1,12 +1,13 @@
 #!/bin/sh
-# Compares the digests on every processor that this machine can run or emulate: docs/same-bits.md.
-# Debian packages and Rust targets that are missing are installed, the packages only when root. A processor that cannot
-# be had is skipped and named; with CI=true that is a failure.
+# Compares the digests on every processor that this machine can run or emulate: docs/same-bits.md. Debian
+# packages and Rust targets that are missing are installed, the packages only when root. A processor that
+# cannot be had is skipped and named; with CI=true that is a failure.
 set -u
 cd "$(dirname "$0")/../.."
 out=$PWD/target/same_bits
 mkdir -p "$out"
 rm -f "$out"/*.log "$out"/*.fault
+python=${VENV:-.venv}/bin/python
 export CARGO_PROFILE_RELEASE_DEBUG=false
 export CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_LINKER=aarch64-linux-gnu-gcc
 export CARGO_TARGET_S390X_UNKNOWN_LINUX_GNU_LINKER=s390x-linux-gnu-gcc
@@ -48,7 +49,8 @@ compare() {
     fi
 }
 
-# on NAME TARGET BINARY OPTION COMMAND...: builds for a target, unless the command's program or the target is missing.
+# on NAME TARGET BINARY OPTION COMMAND...: builds for a target, unless the command's program or the target is
+# missing.
 on() {
     name=$1 target=$2 binary=$3 options=$4
     shift 4
@@ -64,17 +66,40 @@ on() {
     fi
 }
 
+# The host, built above, and the wheel for aarch64: the same results as this machine's.
+packages() {
+    name=aarch64-packages target=aarch64-unknown-linux-gnu host=target/release/gelstereo-host
+    built=$out/aarch64/$target/release/gelstereo-host
+    if ! "$python" -c 'import gelstereo, maturin' 2>/dev/null || ! [ -x "$host" ]; then
+        skip "$name" "gelstereo and maturin in $python, and $host (make test-long installs and builds them)"
+    elif ! has apt-get qemu-aarch64 || ! [ -x "$built" ]; then
+        skip "$name" "the build for aarch64, qemu-aarch64 and Debian's apt-get"
+    elif rm -rf "$out/wheels" && nice "$python" -m maturin build --quiet --release --compatibility linux \
+        --target "$target" --target-dir "$out/aarch64" --out "$out/wheels" 2>"$out/wheel.log"; then
+        compare "$name" tests/same_bits/packages.sh "$python" "$host" "$out"/wheels/*.whl "$built" &
+    else
+        fault "$name" "$(cat "$out/wheel.log")"
+    fi
+}
+
 if cargo build --quiet --workspace --bin same-bits; then
     compare x86-64-debug target/debug/same-bits &
 else
     fault x86-64-debug "does not build"
 fi
-on aarch64 aarch64-unknown-linux-gnu same-bits "" qemu-aarch64 -L /usr/aarch64-linux-gnu
+# Together with the host, whose release build has compiled all but the program.
+if cargo build --quiet --release --package gelstereo-host --package same-bits --bin same-bits; then
+    compare x86-64 target/release/same-bits &
+else
+    fault x86-64 "does not build"
+fi
+on aarch64 aarch64-unknown-linux-gnu same-bits "--package gelstereo-host --bin gelstereo-host" \
+    qemu-aarch64 -L /usr/aarch64-linux-gnu
+packages
 on s390x s390x-unknown-linux-gnu same-bits "" qemu-s390x -L /usr/s390x-linux-gnu
 links="--config target.thumbv7em-none-eabihf.rustflags=['-Clink-arg=-Tlink.x','-Ltests/same_bits']"
 on cortex-m4 thumbv7em-none-eabihf same-bits-bare "--features bare $links" \
     qemu-system-arm -M mps2-an386 -nographic -semihosting-config enable=on,target=native -kernel
-on x86-64 x86_64-unknown-linux-gnu same-bits "" env
 if grep -qw avx2 /proc/cpuinfo; then
     on x86-64-v3 x86_64-unknown-linux-gnu same-bits "--config build.rustflags=['-Ctarget-cpu=x86-64-v3']" env
 else

@@ -18,8 +18,8 @@ from tempfile import TemporaryDirectory
 
 HERE = Path(__file__).resolve().parent
 ENVIRONMENT = {**os.environ, "PATH": os.environ.get("PATH", "") + ":/usr/sbin:/sbin", "LC_ALL": "C"}
-# The VM's own, then: cameras, USB devices made in user space, HID devices made in user space, lights, serial adapters.
-# A network card reaches devices that are made outside the VM.
+# The VM's own, then: cameras, USB devices made in user space, HID devices made in user space, lights, serial
+# adapters. A network card reaches devices that are made outside the VM.
 MODULES = (
     ["virtio_pci", "9p", "9pnet_virtio", "overlay"]
     + ["uvcvideo", "vivid", "vhci-hcd"]
@@ -103,7 +103,9 @@ def make(package: str, cache: Path, scratch: Path) -> None:
 
 
 def unpacked_kernel(packed: bytes) -> bytes:
-    """The ELF file in a bzImage: under software emulation the guest would take seconds to unpack it at every boot."""
+    """The ELF file in a bzImage: under software emulation the guest would take seconds to unpack it at every
+    boot.
+    """
     kinds: list[tuple[bytes, Callable[[bytes], bytes]]] = [
         (b"\xfd7zXZ\x00", lambda data: lzma.LZMADecompressor().decompress(data)),
         (b"\x1f\x8b\x08", lambda data: zlib.decompressobj(31).decompress(data)),

@@ -1,4 +1,6 @@
-"""Runs a script as root in a throw-away VM: QEMU's software emulation, since no test may depend on /dev/kvm."""
+"""Runs a script as root in a throw-away VM: QEMU's software emulation, since no test may depend
+on /dev/kvm.
+"""
 
 from __future__ import annotations
 
@@ -32,8 +34,8 @@ class Outcome:
 def run(
     image: Image, script: str, out: Path, limit_s: float = LIMIT_S, devices: Sequence[str] = ()
 ) -> Outcome:
-    """Runs a shell script that sees the host's root file system read-only and `out` as ``/out``; `devices` are more of
-    QEMU's arguments.
+    """Runs a shell script that sees the host's root file system read-only and `out` as ``/out``; `devices`
+    are more of QEMU's arguments.
     """
     (out / "run.sh").write_text(script, encoding="utf-8")
     command: list[str] = [shutil.which("qemu-system-x86_64") or "qemu-system-x86_64"]

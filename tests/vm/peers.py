@@ -1,4 +1,6 @@
-"""What stands outside the VM in the test of the whole task: a camera, and a connection to the agent inside."""
+"""What stands outside the VM in the test of the whole task: a camera, and a connection to the
+agent inside.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""The host's drivers against the kernel's own stacks, in one throw-away VM; each check in it is one test here."""
+"""The host's drivers against the kernel's own stacks, in one throw-away VM; each check in it is one test
+here.
+"""
 
 from __future__ import annotations
 

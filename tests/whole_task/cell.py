@@ -1,4 +1,6 @@
-"""Starts a cell of processes for one task: the world, and camera, gripper and robot between it and the host."""
+"""Starts a cell of processes for one task: the world, and camera, gripper and robot between it
+and the host.
+"""
 
 from __future__ import annotations
 
@@ -29,8 +31,8 @@ GRIPPERS = {
     "robotiq": 'model = "2f85"',
     "dh": "widths = { points = [[0, 0.0], [1000, 50.0]], max_error_mm = 0.05 }\nspeed_mm_s = [1, 100]",
 }
-# A 2F-85 reports its width in steps of 0.37 mm, which alone puts the part off by up to 0.09 mm: the default hole,
-# 0.1 mm wider to each side, would be a test of luck.
+# A 2F-85 reports its width in steps of 0.37 mm, which alone puts the part off by up to 0.09 mm: the default
+# hole, 0.1 mm wider to each side, would be a test of luck.
 HOLE_DIAMETER_MM = 8.6
 TASK = """
 [task]
@@ -108,7 +110,9 @@ class Setting:
 
 
 class Cell:
-    """The processes of one task. `parts` has those that a test may kill: camera, gripper, robot and, in a run, host."""
+    """The processes of one task. `parts` has those that a test may kill: camera, gripper, robot and, in a
+    run, host.
+    """
 
     def __init__(self, folder: Path, setting: Setting, wire: Wire) -> None:
         self.lateness = Lateness()
@@ -145,7 +149,8 @@ class Cell:
         """Writes the host's configuration."""
         devices = (
             f"[source]\n{source}\n"
-            f'[gripper]\nkind = "{self.setting.kind}"\nport = "{serial_port}"\n{GRIPPERS[self.setting.kind]}\n'
+            f'[gripper]\nkind = "{self.setting.kind}"\nport = "{serial_port}"\n'
+            f"{GRIPPERS[self.setting.kind]}\n"
             f'[robot]\nkind = "bridge"\naddress = "{robot}:{self.robot_port}"\n'
             # As for `device_timeout_s`: a host that shares its cores was silent for over the default of 1 s.
             "timeout_ms = 1500\nwatchdog_ms = 2000\n"

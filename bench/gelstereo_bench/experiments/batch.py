@@ -1,7 +1,7 @@
 """Batches of independent trials, on this machine or on a cluster; results do not depend on the workers.
 
-A trial is a pure function of its configuration and its seed, and its record is plain JSON. Records are returned in the
-order of the trials, whatever the number and speed of workers.
+A trial is a pure function of its configuration and its seed, and its record is plain JSON. Records are
+returned in the order of the trials, whatever the number and speed of workers.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from gelstereo_bench.reports.provenance import build_digest
 __all__ = ["BatchError", "Configuration", "Progress", "Run", "Trial", "keyed_seed", "run_batch"]
 
 Configuration: TypeAlias = Mapping[str, Any]
-#: A trial: maps configuration and seed to a record. It must be a module-level function, so that other processes can
-#: import it.
+#: A trial: maps configuration and seed to a record. It must be a module-level function, so that other
+#: processes can import it.
 Run: TypeAlias = Callable[[Configuration, int], Record]
 #: Called with the numbers of finished and of all trials.
 Progress: TypeAlias = Callable[[int, int], None]
@@ -151,7 +151,9 @@ class _Result:
 
 
 class _Chunks:
-    """Groups trials into tasks of about half a second: single trials at first, more once their duration is known."""
+    """Groups trials into tasks of about half a second: single trials at first, more once their duration is
+    known.
+    """
 
     def __init__(self, trials: _Chunk, workers: int) -> None:
         self._trials = trials
@@ -180,8 +182,8 @@ def _run_chunk(run: Run, chunk: _Chunk, build: str) -> _Result:
     """Run some trials in a worker."""
     if build_digest() != build:
         raise BatchError(
-            f"a worker has another build of gelstereo ({build_digest()[:12]}) than this program ({build[:12]}); "
-            "install the same on all machines, so that results do not depend on who ran them"
+            f"a worker has another build of gelstereo ({build_digest()[:12]}) than this program "
+            f"({build[:12]}); install the same on all machines, so that results do not depend on who ran them"
         )
     start = time.perf_counter()
     lines = []
@@ -201,8 +203,8 @@ def _as_json(record: Record, trial: Trial) -> str:
         return json.dumps(record, allow_nan=False)
     except (TypeError, ValueError) as error:
         raise BatchError(
-            f"the record of {dict(trial.configuration)} is no JSON ({error}); valid are finite numbers, texts, "
-            "null, lists and dictionaries of them"
+            f"the record of {dict(trial.configuration)} is no JSON ({error}); valid are finite numbers, "
+            "texts, null, lists and dictionaries of them"
         ) from error
 
 
@@ -240,7 +242,8 @@ def _check_address(address: str) -> None:
         usable = False
     if not usable:
         raise BatchError(
-            f"{address!r} is no scheduler's address; valid is one as the scheduler prints it, as tcp://10.0.0.2:8786"
+            f"{address!r} is no scheduler's address; valid is one as the scheduler prints it, as "
+            "tcp://10.0.0.2:8786"
         )
 
 

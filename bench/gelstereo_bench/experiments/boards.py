@@ -1,8 +1,8 @@
 """The paper's calibration boards (section V-A; Table I, Fig. 13 and 14).
 
-Boards with a block of known height are pressed until the plate around the block lies on the gel. The rise of the
-markers on the block is compared with the truth. Methods are every rung that affects heights, every preset, and the
-paper's pipeline in OpenCV. Cameras see the markers directly, or through air, acrylic and gel.
+Boards with a block of known height are pressed until the plate around the block lies on the gel. The rise of
+the markers on the block is compared with the truth. Methods are every rung that affects heights, every
+preset, and the paper's pipeline in OpenCV. Cameras see the markers directly, or through air, acrylic and gel.
 """
 
 from __future__ import annotations
@@ -62,8 +62,9 @@ def trials(repeats: int, seed: int) -> list[Trial]:
 def run(configuration: Configuration, seed: int) -> dict[str, Any]:
     """Press a board once; all methods, or those in the configuration's ``methods``, measure the same images.
 
-    For each method the record has ``errors_um`` of the markers on the block and ``salient_mm``, the mean height of the
-    markers classified as contact (the paper's measure); or ``refused``, the reason for no result.
+    For each method the record has ``errors_um`` of the markers on the block and ``salient_mm``, the mean
+    height of the markers classified as contact (the paper's measure); or ``refused``, the reason for no
+    result.
     """
     cv2.setNumThreads(1)
     scene = board_scenes()[configuration["sensor"]]

@@ -29,10 +29,10 @@ _SENSORS = {
 _PRESETS, _SALIENT = "presets, and the paper's pipeline in OpenCV", "salient points"
 
 _ASKED = (
-    "How accurate is the point cloud? Boards with a block of 0.4 to 1.8 mm, in steps of 0.2 mm, are pressed until the "
-    "plate around the block lies on the gel, several times each. Height error is how high the markers on the block "
-    "stand above their rest, less how high they truly do. The paper presses each board five times and reports errors "
-    "below 60 um on its sensor (Table I; box plot in Fig. 14)."
+    "How accurate is the point cloud? Boards with a block of 0.4 to 1.8 mm, in steps of 0.2 mm, are pressed "
+    "until the plate around the block lies on the gel, several times each. The height error is the measured "
+    "height of the markers on the block above rest minus the true one. The paper presses each board five "
+    "times and reports errors below 60 um on its sensor (Table I; box plot in Fig. 14)."
 )
 
 
@@ -61,12 +61,12 @@ def _sensor_blocks(title: str, trials: Sequence[Trial], records: Sequence[Record
         if group:
             blocks += _height_blocks(title, name, {method: errors[method] for method in group})
     blocks += [
-        Heading("As the paper takes it", 3),
+        Heading("The paper's measure", 3),
         Paragraph(
-            "The paper takes what it finds salient for the block. Where a threshold in depth says what is salient "
-            "(0.35 mm, Eq. 4; presets paper and fast), the slopes beside the block are among it as soon as the block "
-            "is higher than that, and their mean is lower than the block. Presets balanced and exact ask which "
-            "points press; the height of those is the block's."
+            "The paper measures a block by its salient points. With a threshold in depth (0.35 mm, Eq. 4; "
+            "preset paper), the slopes beside a block that is higher than the threshold are salient too. The "
+            "mean is then lower than the block. The other presets find the points under pressure, whose "
+            "height is that of the block."
         ),
         salient_table(f"{title}, {_SALIENT}", trials, records, [name for name in whole if name != BASELINE]),
     ]
@@ -83,8 +83,8 @@ def _height_blocks(title: str, name: str, errors: Mapping[str, Mapping[str, Sequ
         Heading(name[0].upper() + name[1:], 3),
         height_table(f"{title}, {name}", errors),
         Figure(
-            f"{title}, {name}: height error by protrusion; quartiles, whiskers to 1.5 times their distance, dots "
-            "beyond (as Fig. 14). Every panel has its own scale.",
+            f"{title}, {name}: height error by protrusion; quartiles, whiskers to 1.5 times their distance, "
+            "dots beyond (as Fig. 14). Every panel has its own scale.",
             as_svg(box_plots(errors, across=4, x_label="protrusion, mm", y_label="height error, um")),
             "svg",
         ),
@@ -126,7 +126,7 @@ def salient_table(
                 board.append(1e3 * (height_mm - trial.configuration["protrusion_mm"]))
     boards = list(next(iter(found.values())))
     rows = [[name, *map(_mean_std, values.values())] for name, values in found.items()]
-    caption = f"{title}: their mean height less the protrusion, mean ± standard deviation over presses, um"
+    caption = f"{title}: mean height minus the protrusion, mean ± standard deviation over presses, um"
     return Grid(caption, ["method", *(f"{board} mm" for board in boards)], rows)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from gelstereo.cli.extras import module_of
 from gelstereo.cli.options import count
-from gelstereo.cli.progress import Counter
+from gelstereo.progress import Progress
 from gelstereo_bench.experiments.experiment import Experiment, carry_out
 
 __all__ = ["EXAMPLES", "EXPERIMENTS", "add_arguments", "run"]
@@ -68,7 +68,7 @@ def experiment_of(name: str) -> Experiment:
 def run(arguments: argparse.Namespace) -> int:
     """Run the experiment; return the exit code."""
     experiment = experiment_of(arguments.experiment)
-    with Counter(experiment.name) as progress:
+    with Progress(experiment.name) as progress:
         try:
             done = carry_out(
                 experiment,
@@ -84,7 +84,8 @@ def run(arguments: argparse.Namespace) -> int:
         except KeyboardInterrupt:
             if progress.done:
                 print(
-                    f"\n{progress.done} of {progress.total} trials are kept in {arguments.output}; --resume goes on",
+                    f"\n{progress.done} of {progress.total} trials are kept in {arguments.output}; --resume "
+                    "goes on",
                     file=sys.stderr,
                 )
             raise

@@ -28,8 +28,8 @@ class Experiment:
     inputs
         Scenes and settings of all trials, as TOML, by name.
     trials
-        Creates all trials from the number of repeats and the seed. Trials are independent, and those of fewer repeats
-        are a subset of those of more.
+        Creates all trials from the number of repeats and the seed. Trials are independent, and those of fewer
+        repeats are a subset of those of more.
     run
         Runs one trial.
     report

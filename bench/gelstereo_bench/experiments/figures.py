@@ -37,7 +37,8 @@ def box_plots(
     x_label: str,
     y_label: str,
 ) -> Figure:
-    """Box plots, one panel per name: quartiles, whiskers to 1.5 times the interquartile range, outliers as dots.
+    """Box plots, one panel per name: quartiles, whiskers to 1.5 times the interquartile range, outliers as
+    dots.
 
     Parameters
     ----------
@@ -85,7 +86,8 @@ def _panels(down: int, across: int) -> tuple[Figure, Any]:
 
 
 def contact_maps(truth_mm: Array, found_mm: Array, touching: Mask, salient: Mask) -> Figure:
-    """Maps of a contact, a cell per marker: true and measured heights, their difference, and the contact region.
+    """Maps of a contact, a cell per marker: true and measured heights, their difference, and the contact
+    region.
 
     Parameters
     ----------

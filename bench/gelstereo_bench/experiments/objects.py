@@ -1,7 +1,7 @@
 """The paper's contact objects (section V-A; Fig. 9 and 12): sensing and localization.
 
-Each object is pressed into the gel at random poses and random depths. Every preset senses the contact from the same
-images and localizes the object from the same guess.
+Each object is pressed into the gel at random poses and random depths. Every preset senses the contact from
+the same images and localizes the object from the same guess.
 """
 
 from __future__ import annotations
@@ -142,8 +142,8 @@ def _sense(simulator: Simulator, params: Params, frames: list[SimulatedFrame]) -
 def _grasp(item: Press, mesh: Any, template: Template, pose: Array, truth: SimulatedFrame) -> Grasp:
     """The contact with its bound, from the markers truly in contact.
 
-    Determined directions are selected with the noise of docs/localization.md. With the noise of these images, a round
-    part's facets, a micrometre high, would appear to determine its spin.
+    Determined directions are selected with the noise of docs/localization.md. With the noise of these images,
+    a round part's facets, a micrometre high, would appear to determine its spin.
     """
     touching = truth.in_contact
     points_mm = np.asarray(truth.points_mm)[touching]

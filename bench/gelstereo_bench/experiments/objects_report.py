@@ -21,15 +21,15 @@ from gelstereo_bench.frontier.scenes import CONDITIONS
 __all__ = ["TABLE", "objects_report", "summary_table"]
 
 _ASKED = (
-    "What does the sensor make of objects of daily life, and where does it take them to be? An M10 screw, a 3.5 mm "
-    "connector, an SD card reader, a key, an irregular part and a USB drive are pressed into the gel (Fig. 12 of the "
-    "paper, which shows the point clouds and images without figures). Here the truth is known: the height of every "
-    "marker, which of them touch, and the object's pose. Poses and depths (0.8 to 1.4 mm) are drawn by chance; the "
-    "objects are of common dimensions, the paper gives none."
+    "How well does the sensor measure and locate everyday objects? An M10 screw, a 3.5 mm connector, an SD "
+    "card reader, a key, an irregular part and a USB drive are pressed into the gel (Fig. 12 of the paper, "
+    "which shows the point clouds and images without figures). Here the ground truth is known: the height of "
+    "every marker, which markers are in contact, and the object's pose. Poses and depths (0.8 to 1.4 mm) are "
+    "random. The objects have common dimensions, since the paper states none."
 )
 
 #: Caption of the table of all contacts.
-TABLE = "All contacts: heights, salient region and pose against the truth"
+TABLE = "All contacts: heights, salient region and pose compared with the ground truth"
 
 
 def objects_report(
@@ -43,10 +43,10 @@ def objects_report(
     findings: list[Block] = [
         Heading("All contacts"),
         Paragraph(
-            "Height: root mean square error over all markers. Precision and recall: of the salient markers against "
-            "those that truly touch. Pose: from a guess up to 10 degrees and 2 mm off, over the directions that the "
-            "contact determines; within tolerance is within 2 degrees and 0.3 mm, the paper's clearance. A contact "
-            "with a flat or round face leaves directions free; which ones, each result says."
+            "Height: root mean square error over all markers. Precision and recall: salient markers compared "
+            "with those in contact. Pose: from a guess up to 10 degrees and 2 mm off, over the directions "
+            "that the contact determines. Tolerance: 2 degrees and 0.3 mm, the paper's clearance. A contact "
+            "with a flat or round face leaves directions free; each result lists them."
         ),
         summary,
     ]
@@ -109,14 +109,14 @@ def _gallery(name: str, record: Record, mesh: trimesh.Trimesh) -> list[Block]:
         Heading(name),
         Figure(f"{name}: the object", picture.tobytes(), "png", width_px=320),
         Figure(
-            f"{name}: left view with the markers' motion, heights, and the point cloud with salient points and the "
-            "registered template (simulated)",
+            f"{name}: left view with the markers' motion, heights, and the point cloud with salient points "
+            "and the registered template (simulated)",
             base64.b64decode(record["picture"]),
             "jpeg",
         ),
         Figure(
-            f"{name}: height of every marker in truth and as measured, their difference, and the salient region "
-            f"against the markers that touch; deepest marker {record['depth_mm']:.2f} mm (simulated)",
+            f"{name}: true and measured height of every marker, their difference, and the salient region "
+            f"compared with the markers in contact; deepest marker {record['depth_mm']:.2f} mm (simulated)",
             as_svg(contact_maps(truth, found, touching, salient)),
             "svg",
         ),

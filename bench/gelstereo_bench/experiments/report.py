@@ -70,14 +70,16 @@ def write_report(path: Path, report: Report, *, seed: int, trials: Sequence[Tria
 
 
 def fill_page(page: Path, name: str, report: Report, *, seed: int, trials: Sequence[Trial]) -> None:
-    """Put a report's summary between the lines ``<!-- begin name -->`` and ``<!-- end name -->`` of a Markdown page.
+    """Put a report's summary between the lines ``<!-- begin name -->`` and ``<!-- end name -->`` of a
+    Markdown page.
 
     Raises
     ------
     ReportError
         The page or its markers are missing.
     """
-    said = f"{report.conditions[0].upper()}{report.conditions[1:]}; {len(trials)} trials, seed {seed}, {processor()}."
+    conditions = f"{report.conditions[0].upper()}{report.conditions[1:]}"
+    said = f"{conditions}; {len(trials)} trials, seed {seed}, {processor()}."
     grids = [f"{grid.caption}:\n\n{table(grid.head, grid.rows)}" for grid in report.summary]
     replace_between(page, name, "\n\n".join([said, *grids]))
 

@@ -38,8 +38,8 @@ class Store:
     Raises
     ------
     StoreError
-        The folder has trials and `resume` is not set; or they have another identity or are damaged; or another process
-        is writing them.
+        The folder has trials and `resume` is not set; or they have another identity or are damaged; or
+        another process is writing them.
     """
 
     def __init__(self, folder: Path, identity: Mapping[str, Any], *, resume: bool = False) -> None:

@@ -1,1 +1,3 @@
-"""Accuracy against time: every rung of every stage on fixed simulated scenes, compared with a plain OpenCV baseline."""
+"""Accuracy against time: every rung of every stage on fixed simulated scenes, compared with a plain OpenCV
+baseline.
+"""

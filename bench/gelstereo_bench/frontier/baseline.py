@@ -1,8 +1,9 @@
-"""The paper's sensing pipeline in plain OpenCV, NumPy and SciPy: the baseline, and the tests' independent reference.
+"""The paper's sensing pipeline in plain OpenCV, NumPy and SciPy: the baseline, and the tests' independent
+reference.
 
-It shares no code with the core. Every function takes its settings as arguments, so that defaults are defined in one
-place (`gelstereo.Params`). `Baseline` combines the functions as in section III of the paper. Registration is in
-`baseline_register`.
+It shares no code with the core. Every function takes its settings as arguments, so that defaults are defined
+in one place (`gelstereo.Params`). `Baseline` combines the functions as in section III of the paper.
+Registration is in `baseline_register`.
 """
 
 from __future__ import annotations
@@ -85,7 +86,8 @@ def _marker_components(
 def binary_centroids(difference: Image, **settings: Any) -> Array:
     """Centres (N, 2) as the mean positions of components' pixels.
 
-    Settings: ``threshold_levels``, ``morphology_kernel_px``, ``min_area_px2``, ``max_area_px2``, ``min_fill``.
+    Settings: ``threshold_levels``, ``morphology_kernel_px``, ``min_area_px2``, ``max_area_px2``,
+    ``min_fill``.
     """
     _, _, centroids, markers = _marker_components(difference, **settings)
     return np.asarray(centroids[markers], np.float64)
@@ -133,7 +135,8 @@ def nearest_within_gate(
 ) -> tuple[Array, npt.NDArray[np.bool_]]:
     """Eq. 2: every track (N, 2) takes its nearest detection if that lies within the gate.
 
-    Returns the updated tracks and a mask of those seen. A detection claimed by several tracks goes to the nearest one.
+    Returns the updated tracks and a mask of those seen. A detection claimed by several tracks goes to the
+    nearest one.
     """
     if len(detected_px) == 0:
         return tracks_px.copy(), np.zeros(len(tracks_px), bool)
@@ -150,9 +153,9 @@ def nearest_within_gate(
 def foresight_sort(positions_px: Array, cols: int, tolerance_px: float) -> npt.NDArray[np.intp] | None:
     """Algorithm 1: the permutation that sorts markers (N, 2) row by row from left to right.
 
-    Errors in the printed algorithm are corrected by its text: loops start at the first element, and every row,
-    including the last, is ordered by abscissa. ``None`` if a row does not fill, where the printed algorithm continues
-    silently.
+    Errors in the printed algorithm are corrected by its text: loops start at the first element, and every
+    row, including the last, is ordered by abscissa. ``None`` if a row does not fill, where the printed
+    algorithm continues silently.
     """
     x = positions_px[:, 0].tolist()
     remaining = np.lexsort((positions_px[:, 0], positions_px[:, 1])).tolist()
@@ -238,7 +241,9 @@ def triangulate_q(q: Array, left_px: Array, right_px: Array) -> Array:
 
 
 def indentation_mm(points_mm: Array, rest_mm: Array) -> Array:
-    """Height (N,) of points (N, 3) above their rest positions, along the rest plane's normal towards the camera."""
+    """Height (N,) of points (N, 3) above their rest positions, along the rest plane's normal towards the
+    camera.
+    """
     normal = np.linalg.svd(rest_mm - rest_mm.mean(axis=0), full_matrices=False)[2][2]
     normal = normal if normal[2] < 0.0 else -normal
     return np.asarray((points_mm - rest_mm) @ normal, np.float64)
@@ -271,8 +276,8 @@ class Baseline:
     ) -> None:
         """Create the pipeline.
 
-        ``params``: the parsed TOML of `gelstereo.Params`; ``lattice``: rows and columns; ``box``: whether the local
-        background is the mean over a square.
+        ``params``: the parsed TOML of `gelstereo.Params`; ``lattice``: rows and columns; ``box``: whether the
+        local background is the mean over a square.
         """
         self._box = box
         self._rows, self._cols = lattice
@@ -346,7 +351,9 @@ class Baseline:
         return order
 
     def triangulate(self, left_px: Array, right_px: Array) -> Array:
-        """Points in the left camera's frame: undistort, rectify, apply Q, and undo the left rectifying rotation."""
+        """Points in the left camera's frame: undistort, rectify, apply Q, and undo the left rectifying
+        rotation.
+        """
         geometry = self._geometry
         left = cv2.undistortPoints(
             left_px[:, None], geometry.left_matrix, geometry.left_distortion, R=self._r_left, P=self._p_left

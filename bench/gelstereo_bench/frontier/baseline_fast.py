@@ -1,7 +1,7 @@
 """A fast OpenCV implementation: the baseline of the speed tables.
 
-Box background, connected components, grey centroids over windows, nearest neighbours, triangulation with Q. All loops
-are OpenCV's and NumPy's, on one thread. Labels are given with the first frame.
+Box background, connected components, grey centroids over windows, nearest neighbours, triangulation with Q.
+All loops are OpenCV's and NumPy's, on one thread. Labels are given with the first frame.
 """
 
 from __future__ import annotations
@@ -34,7 +34,9 @@ class FastBaseline:
     """Box background, components and grey centroids; tracks by nearest neighbours."""
 
     def __init__(self, geometry: StereoGeometry, params: Mapping[str, Any]) -> None:
-        """``params``: the parsed TOML of `gelstereo.Params`; only this one rung of each stage is implemented."""
+        """``params``: the parsed TOML of `gelstereo.Params`; only this one rung of each stage is
+        implemented.
+        """
         self._detect = params["detect"]
         self._gate_pitches = params["track"]["gate_pitches"]
         self._saliency_mm = params["contact"]["saliency_mm"]
@@ -95,7 +97,9 @@ class FastBaseline:
 
 
 def _refined(difference: Image, centres_px: Array, areas_px2: npt.NDArray[np.int32]) -> Array:
-    """Centres weighted by contrast over square windows that hold the largest marker and its blurred border."""
+    """Centres weighted by contrast over square windows that hold the largest marker and its
+    blurred border.
+    """
     if len(centres_px) == 0:
         return centres_px
     reach = int(np.ceil(np.sqrt(np.median(areas_px2) / np.pi) + 2.0))

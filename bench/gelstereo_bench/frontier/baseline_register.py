@@ -18,12 +18,15 @@ __all__ = ["filterreg", "icp", "ransac_icp", "rigid_fit"]
 
 Array = npt.NDArray[np.float64]
 
-#: Number of template points with Gaussian weights; with the spacing and widths used here, other weights are below 1e-3.
+#: Number of template points with Gaussian weights; with the spacing and widths used here, other weights are
+#: below 1e-3.
 _NEIGHBOURS = 24
 
 
 def rigid_fit(source: Array, target: Array, weights: Array) -> tuple[Array, Array]:
-    """Rotation (3, 3) and translation (3,) that bring source (N, 3) to target (N, 3) (Kabsch, never a reflection)."""
+    """Rotation (3, 3) and translation (3,) that bring source (N, 3) to target (N, 3) (Kabsch, never a
+    reflection).
+    """
     share = weights / weights.sum()
     source_centre, target_centre = share @ source, share @ target
     u, _, vt = np.linalg.svd((source - source_centre).T @ (share[:, None] * (target - target_centre)))
@@ -72,10 +75,11 @@ def filterreg(
     step_tolerance: float,
     plane: bool = False,
 ) -> Array:
-    """FilterReg (Gao and Tedrake 2019): t_sensor_object (4, 4) from a guess; point to point or point to plane.
+    """FilterReg (Gao and Tedrake 2019): t_sensor_object (4, 4) from a guess; point to point or point to
+    plane.
 
-    Every patch point is matched to the Gaussian-weighted mean of nearby template points, weighted by its inlier
-    probability. The width follows the residuals down to its minimum.
+    Every patch point is matched to the Gaussian-weighted mean of nearby template points, weighted by its
+    inlier probability. The width follows the residuals down to its minimum.
     """
     tree = cKDTree(template_mm)
     t_object_sensor = _inverse(guess)
@@ -90,7 +94,8 @@ def filterreg(
         )  # relative to the nearest, to avoid underflow
         total = gauss.sum(axis=1)
         mean = np.einsum("ij,ijk->ik", gauss, template_mm[index]) / total[:, None]
-        # On the surface the sum is 2 pi sigma^2 / spacing^2, the density to which the outliers' density is compared.
+        # On the surface the sum is 2 pi sigma^2 / spacing^2, the density to which the outliers' density is
+        # compared.
         on_surface = total * np.exp(-(nearest[:, 0] ** 2) / (2.0 * sigma**2))
         outlier = outlier_share / (1.0 - outlier_share) * 2.0 * np.pi * sigma**2 / spacing_mm**2
         weights = on_surface / (on_surface + outlier)

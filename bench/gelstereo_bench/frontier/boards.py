@@ -26,7 +26,8 @@ _LIMITS_UM = {"boards": (4.0, 8.0), "refraction": (4.0, 10.0)}
 
 
 def measure_boards(presses: int, report: Report) -> tuple[list[Table], list[Target]]:
-    """Measure height errors of the markers on the block: mean (standard deviation) per protrusion and method, um.
+    """Measure height errors of the markers on the block: mean (standard deviation) per protrusion and method,
+    um.
 
     Cameras see the markers directly, or through air, acrylic and gel.
     """

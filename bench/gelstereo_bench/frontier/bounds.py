@@ -1,12 +1,13 @@
 """Cramér-Rao bounds of a marker's centre, from the model of image formation.
 
-A marker is a disc blurred by a Gaussian, on a background with a brightness gradient. The parameters are the centre;
-nuisance parameters are radius (with two directions of stretch), contrast, background, both gradients and blur. Noise is
-Gaussian: white noise plus the variance 1/12 of rounding, and correlated noise where there is grain. No code is shared
-with the core: the blurred disc is computed by a Fourier integral, not by the core's edge profile.
+A marker is a disc blurred by a Gaussian, on a background with a brightness gradient. The parameters are the
+centre; nuisance parameters are radius (with two directions of stretch), contrast, background, both gradients
+and blur. Noise is Gaussian: white noise plus the variance 1/12 of rounding, and correlated noise where there
+is grain. No code is shared with the core: the blurred disc is computed by a Fourier integral, not by the
+core's edge profile.
 
-References: Kay, Fundamentals of Statistical Signal Processing: Estimation Theory (1993), section 3.9 (bound of a signal
-in coloured Gaussian noise).
+References: Kay, Fundamentals of Statistical Signal Processing: Estimation Theory (1993), section 3.9 (bound
+of a signal in coloured Gaussian noise).
 """
 
 from __future__ import annotations
@@ -50,10 +51,11 @@ class Grain:
 
 
 def blurred_disc(distance_px: Array, radius_px: float, blur_px: float) -> tuple[Array, Array, Array, Array]:
-    """Relative contrast over distance from the centre, and its derivatives with respect to distance, radius and blur.
+    """Relative contrast over distance from the centre, and its derivatives with respect to distance, radius
+    and blur.
 
-    The product of the disc's transform 2 pi r J1(kr) / k and the blur's exp(-k² s² / 2), transformed back by the Hankel
-    integral of order 0.
+    The product of the disc's transform 2 pi r J1(kr) / k and the blur's exp(-k² s² / 2), transformed back by
+    the Hankel integral of order 0.
     """
     # The contrast beyond the last wave number is e^-32; the step keeps periodic copies 100 px apart.
     last = 8.0 / blur_px
@@ -74,8 +76,8 @@ def edge_bound_px(
 ) -> Array:
     """Closed form for white noise and a radius well above the blur: standard deviation of one coordinate.
 
-    sigma_n / C sqrt(2 sigma_b / (sqrt(pi) r)), from the information pi r C² / (2 sqrt(pi) sigma_b sigma_n²) of a
-    blurred circle's edge, half of which belongs to each coordinate.
+    sigma_n / C sqrt(2 sigma_b / (sqrt(pi) r)), from the information pi r C² / (2 sqrt(pi) sigma_b sigma_n²)
+    of a blurred circle's edge, half of which belongs to each coordinate.
     """
     r, c = np.asarray(radius_px, np.float64), np.abs(np.asarray(contrast, np.float64))
     return np.asarray(noise_levels / c * np.sqrt(2.0 * blur_px / (np.sqrt(np.pi) * r)))
@@ -141,8 +143,8 @@ def _unit_bound_px(
 def _window(
     radius_px: float, blur_px: float, phase: tuple[float, float], pitch_px: float
 ) -> tuple[Array, Array]:
-    """Pixels relative to a centre, including the edge and the correlated grain beside it, but not beyond half the
-    pitch.
+    """Pixels relative to a centre, including the edge and the correlated grain beside it, but not beyond half
+    the pitch.
     """
     reach = min(radius_px + 5.0 * max(blur_px, 1.0), 0.5 * pitch_px)
     half = int(np.ceil(reach)) + 1
@@ -188,8 +190,8 @@ def marker_bounds_px(
 ) -> Array:
     """Bound (N,), 2-D rms, of every marker of a simulated frame.
 
-    The radius follows from the marker's depth (tilt is neglected), contrast and grain from the illumination at its
-    position.
+    The radius follows from the marker's depth (tilt is neglected), contrast and grain from the illumination
+    at its position.
 
     Parameters
     ----------
@@ -212,8 +214,8 @@ def marker_bounds_px(
     contrast = float(gel["bright_level"] - gel["dark_level"])
     lens2 = grain2 = 0.0
     if (defocus := effects.get("defocus")) is not None:
-        # The simulator blurs on pixels half as wide, with a kernel integrated over these. Grain is painted in whole
-        # pixels and averaged over them again.
+        # The simulator blurs on pixels half as wide, with a kernel integrated over these. Grain is painted in
+        # whole pixels and averaged over them again.
         lens2 = defocus["sigma_px"] ** 2 + _PIXEL_PX2 / 4.0
         grain2 = lens2 + 2.0 * _PIXEL_PX2
     blur = float(np.sqrt(lens2 + _PIXEL_PX2))

@@ -67,7 +67,8 @@ class Condition:
         return float(np.sqrt(np.mean(np.square(bounds))))
 
 
-#: Grey levels at 35 % of the light, and with 25 levels of contrast; the paint's grain scales with light and contrast.
+#: Grey levels at 35 % of the light, and with 25 levels of contrast; the paint's grain scales with light and
+#: contrast.
 CONDITIONS = (
     *(Condition(size.name, size) for size in FORMATS[:2]),
     Condition("25 levels of contrast", VGA, {"dark_level": 145}, {"grain": {"sigma_levels": 3.0 * 25 / 120}}),

@@ -97,8 +97,8 @@ def _localization(arguments: argparse.Namespace, rounds: int, starts: int) -> in
     rounds = max(rounds, starts * len(GRASPED) * len(NOISES))
     tables, targets = measure_localization(range(1, 1 + starts), rounds, _report)
     said = (
-        f"simulated, {starts} contacts of each part and noise, markers every 0.9 mm, gel shoulder and spread; "
-        "fixed seeds"
+        f"simulated, {starts} contacts of each part and noise, markers every 0.9 mm, gel shoulder and "
+        "spread; fixed seeds"
     )
     write_page(page, tables, targets, rounds, said)
     return _done(page, targets)

@@ -25,9 +25,12 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Calibration:
-    """Errors squared, normalised by their covariances (NEES; Bar-Shalom, Li and Kirubarajan 2001, section 5.4)."""
+    """Errors squared, normalised by their covariances (NEES; Bar-Shalom, Li and Kirubarajan 2001, section
+    5.4).
+    """
 
-    #: Mean over markers and degrees of freedom: 1 if the covariances are right, above 1 if they are too small.
+    #: Mean over markers and degrees of freedom: 1 if the covariances are right, above 1 if they are too
+    #: small.
     mean: float
     #: 95 % interval of the mean if covariances are right and errors are Gaussian and independent.
     band: tuple[float, float]
@@ -36,7 +39,9 @@ class Calibration:
 
     @classmethod
     def of(cls, errors: Array, covariances: Array, alike: int) -> Calibration:
-        """Create from errors (N, k) and covariances (N, k, k); groups of a given size share the same paint grain."""
+        """Create from errors (N, k) and covariances (N, k, k); groups of a given size share the same paint
+        grain.
+        """
         count, freedom = errors.shape
         if count < alike:
             return cls(float("nan"), (float("nan"), float("nan")), float("nan"))

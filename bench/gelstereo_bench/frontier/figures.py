@@ -59,7 +59,9 @@ def draw_errors(path: Path, rows: Sequence[Row], bound_px: float | None = None) 
 
 
 def draw_growth(path: Path, speeds: Sequence[Speed]) -> None:
-    """Plot the time of a tracked frame over pixels and over markers; a straight line indicates linear growth."""
+    """Plot the time of a tracked frame over pixels and over markers; a straight line indicates
+    linear growth.
+    """
     matplotlib.use("Agg")
     with needs(__name__):
         from matplotlib import pyplot as plt

@@ -1,4 +1,6 @@
-"""Parts pressed into the simulated gel, for registration: sensed points, truth, and the bound on pose errors."""
+"""Parts pressed into the simulated gel, for registration: sensed points, truth, and the bound on
+pose errors.
+"""
 
 from __future__ import annotations
 
@@ -55,7 +57,8 @@ _STEEP_COSINE = 0.35
 SIDE = 25
 #: Largest displacement of outliers, mm.
 STRAY_MM = 1.5
-#: Directions with a larger standard deviation in the bound count as free; rotations in mm at the patch's radius.
+#: Directions with a larger standard deviation in the bound count as free; rotations in mm at the patch's
+#: radius.
 _OBSERVABLE_MM = 0.06
 #: Minimum number of markers truly in contact, and range of the number of salient markers, of a valid contact.
 _MIN_TOUCHING, _SALIENT = 20, range(12, 301)
@@ -70,8 +73,8 @@ class Noise:
     sigma_mm: float
     #: Share of salient points displaced by a random amount up to 1.5 mm.
     outliers: float
-    #: Whether markers are salient by pressure, as in the presets balanced and exact, or by indentation, as in the
-    #: paper.
+    #: Whether markers are salient by pressure, as in the presets balanced and exact, or by indentation, as in
+    #: the paper.
     by_pressure: bool = True
 
 
@@ -92,7 +95,8 @@ class Press:
     make: Callable[[], trimesh.Trimesh]
     #: Range of the distance from the tip to where the part is held, mm.
     held_mm: tuple[float, float]
-    #: Whether the part lies on one of its wide faces, normal along its y axis; other parts have a random roll.
+    #: Whether the part lies on one of its wide faces, normal along its y axis; other parts have a random
+    #: roll.
     flat: bool = False
     #: Whether its tip is pressed, rather than its side.
     standing: bool = False
@@ -300,7 +304,9 @@ def _salient(simulator: Simulator, points_mm: Array, noise: Noise) -> npt.NDArra
 
 
 def place(press: Press, mesh: trimesh.Trimesh, random: np.random.Generator) -> Array:
-    """Draw a pose: the part's axis across the gel (along its normal if it stands), tilted by up to 3.5 degrees."""
+    """Draw a pose: the part's axis across the gel (along its normal if it stands), tilted by up to 3.5
+    degrees.
+    """
     roll = random.choice([0.5, 1.5]) * np.pi + random.uniform(-0.1, 0.1)
     if not press.flat:
         roll = random.uniform(0.0, 2.0 * np.pi)

@@ -16,8 +16,8 @@ Array = npt.NDArray[np.float64]
 
 
 def log_likelihood(grasp: Grasp, noise: Noise, simulator: Simulator, t_sensor_object: Array) -> float:
-    """Log likelihood of all heights of a contact at a pose, (4, 4), with the simulator's own contact, noise and
-    outliers.
+    """Log likelihood of all heights of a contact at a pose, (4, 4), with the simulator's own contact, noise
+    and outliers.
     """
     exact = np.asarray(simulator.press(t_sensor_object).points_mm, np.float64)
     off = grasp.all_points_mm - exact
@@ -41,8 +41,8 @@ def _slopes(lattice_mm: Array) -> Array:
 
 
 def success_or_likelier(grasps: Sequence[Grasp], noise: Noise, poses: Sequence[Array | None]) -> float:
-    """Per cent of poses, one per contact, that are right or likelier than the truth; no estimator can distinguish
-    these.
+    """Per cent of poses, one per contact, that are right or likelier than the truth; no estimator can
+    distinguish these.
     """
     simulators: dict[str, Simulator] = {}
 

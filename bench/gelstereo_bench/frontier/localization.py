@@ -1,4 +1,6 @@
-"""Success, error relative to the bound, and time of registration on parts in the gel, compared with other libraries."""
+"""Success, error relative to the bound, and time of registration on parts in the gel, compared with other
+libraries.
+"""
 
 from __future__ import annotations
 
@@ -135,8 +137,8 @@ def _from_truth(method: Method, contacts: Mapping[str, Sequence[Grasp]]) -> list
 
 
 def _or_likelier(method: Method, contacts: Mapping[str, Sequence[Grasp]]) -> list[str]:
-    """Success if poses that explain the heights better than the truth count as right, since heights cannot distinguish
-    them.
+    """Success if poses that explain the heights better than the truth count as right, since heights cannot
+    distinguish them.
     """
     row = ["*surface_search, or a pose likelier than the truth*"]
     for noise in NOISES:
@@ -179,7 +181,9 @@ def _near_table(
 
 
 def _budget_table(contacts: Sequence[Grasp], rounds: int) -> Table:
-    """Success of the best rung from every start, over all noises, and times from the middle start, by search budget."""
+    """Success of the best rung from every start, over all noises, and times from the middle start, by search
+    budget.
+    """
     usual = next(_params(rung) for rung in rungs_of("register") if rung.name == BEST)
     budgets = sorted({usual.to_dict()["register"]["surface_search"]["budget"], *_BUDGETS}, reverse=True)
     params = {f"{budget}": usual.replace({"register.surface_search.budget": budget}) for budget in budgets}

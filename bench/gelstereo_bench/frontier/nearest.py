@@ -1,4 +1,6 @@
-"""Distance of a point to a part: samples, triangles and the grid, compared with SciPy's and trimesh's searches."""
+"""Distance of a point to a part: samples, triangles and the grid, compared with SciPy's and trimesh's
+searches.
+"""
 
 from __future__ import annotations
 

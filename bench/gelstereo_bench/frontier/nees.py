@@ -26,7 +26,9 @@ _SHARE = 0.95
 
 @dataclass
 class Nees:
-    """Normalised estimation error squared of several poses, over the directions that each states as determined."""
+    """Normalised estimation error squared of several poses, over the directions that each states as
+    determined.
+    """
 
     squared: list[float] = field(default_factory=list)
     directions: list[int] = field(default_factory=list)

@@ -68,8 +68,8 @@ def write_page(
         draft = Path(folder) / page.name
         shutil.copy(page, draft)
         said = (
-            f"All figures: {conditions}. Times: one thread, {processor()}, {rounds} rounds in which all methods take "
-            f"turns; {_load()}."
+            f"All figures: {conditions}. Times: one thread, {processor()}, {rounds} rounds in which all "
+            f"methods take turns; {_load()}."
         )
         replace_between(draft, "conditions", said)
         head = ["what", "target", "measured", "met"]
@@ -81,7 +81,7 @@ def write_page(
 
 def row_tables(rows: Sequence[Row]) -> list[Table]:
     """Create the tables of error and time, one per stage."""
-    head = ["method", "error", "median ms", "p99 ms", "10^6 instructions", "baseline's time over this"]
+    head = ["method", "error", "median ms", "p99 ms", "10^6 instructions", "speed-up over the baseline"]
     stages = dict.fromkeys(row.stage for row in rows)
     return [Table(stage, head, [_line(row) for row in rows if row.stage == stage]) for stage in stages]
 
@@ -103,6 +103,4 @@ def _load() -> str:
         load = os.getloadavg()[1]
     except OSError:
         return "the machine's load is unknown"
-    return (
-        f"{load:.1f} programs on {os.cpu_count()} processors meanwhile, which shows in the 99th percentiles"
-    )
+    return f"load {load:.1f} on {os.cpu_count()} processors during the run, which raises the 99th percentiles"

@@ -50,8 +50,8 @@ class Patch:
     def simulate(cls, part: Part) -> Patch:
         """Press the part and take the salient points of the balanced pipeline.
 
-        All of them are used, including the shoulder: a threshold relative to the deepest would lose the shallower of
-        several contacts.
+        All of them are used, including the shoulder: a threshold relative to the deepest would lose the
+        shallower of several contacts.
         """
         press = part_press(part)
         pipeline = Pipeline(Scene().rig, Params.preset("balanced"))
@@ -63,7 +63,9 @@ class Patch:
         return cls(part, part.template(), result.points_mm[result.salient], np.array(truth))
 
     def start(self, seed: int) -> Array:
-        """Draw a guess: rotated about the patch's centroid by 5 degrees and shifted by 1 mm, in random directions."""
+        """Draw a guess: rotated about the patch's centroid by 5 degrees and shifted by 1 mm, in random
+        directions.
+        """
         random = np.random.default_rng([seed, 20211])
         turn, move = (vector / np.linalg.norm(vector) for vector in random.normal(size=(2, 3)))
         centre = np.eye(4)
@@ -75,8 +77,8 @@ class Patch:
 def observable_error_mm(patch: Patch, found: Array) -> float:
     """Rms error over the directions that the contact determines, mm.
 
-    The error twist about the patch's centroid, with rotation scaled by the patch's radius, is projected on the
-    directions in which the true surface under the patch moves along its normals.
+    The error twist about the patch's centroid, with rotation scaled by the patch's radius, is projected on
+    the directions in which the true surface under the patch moves along its normals.
     """
     centre_mm = patch.points_mm.mean(axis=0)
     lever = patch.points_mm - centre_mm

@@ -1,7 +1,8 @@
-"""Registration by other libraries, with settings for tactile patches; libraries that cannot be loaded are left out.
+"""Registration by other libraries, with settings for tactile patches; libraries that cannot be loaded are
+left out.
 
-``pip install './bench[rivals]'`` installs them. Each method takes a `Grasp` and a guess and returns a pose. Settings
-were chosen on separate seeds (from 900), for success from 10 deg and 2 mm.
+``pip install './bench[rivals]'`` installs them. Each method takes a `Grasp` and a guess and returns a pose.
+Settings were chosen on separate seeds (from 900), for success from 10 deg and 2 mm.
 """
 
 from __future__ import annotations
@@ -58,7 +59,9 @@ _TUKEY_MM = (1.0, 0.4, 0.12)
 
 
 def open3d_icp(grasp: Grasp, guess: Array) -> Array:
-    """Point-to-plane ICP on samples with Tukey's weights and a correspondence distance reduced in three steps."""
+    """Point-to-plane ICP on samples with Tukey's weights and a correspondence distance reduced in three
+    steps.
+    """
     import open3d as o3d
 
     registration = o3d.pipelines.registration
@@ -97,7 +100,8 @@ def small_gicp_align(grasp: Grasp, guess: Array) -> Array:
     return np.linalg.inv(pose)
 
 
-#: Margin of the samples passed to FilterReg beyond the patch's farthest point, measured from its centroid, mm.
+#: Margin of the samples passed to FilterReg beyond the patch's farthest point, measured from its centroid,
+#: mm.
 _MARGIN_MM = 3.0
 
 

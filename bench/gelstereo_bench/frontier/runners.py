@@ -64,7 +64,9 @@ def repeat_last(runner: Runner, press: Sequence[SimulatedFrame]) -> Callable[[in
 def write_input(
     folder: Path, params: Params, frames: Sequence[SimulatedFrame], rig: Rig | None = None
 ) -> list[Path]:
-    """Write settings, the rig, and images of both views for the core's programs; without a rig, of the left view."""
+    """Write settings, the rig, and images of both views for the core's programs; without a rig, of the left
+    view.
+    """
     params.save(folder / "params.toml")
     files = [folder / "params.toml"]
     if rig is not None:

@@ -68,8 +68,8 @@ class Score:
 def measure_saliency(seeds: int, report: Report) -> tuple[Table, list[Target]]:
     """Measure F1 of the salient markers in the last frame of several presses, for every preset.
 
-    F1 is computed over all seeds together. A ball touches some twenty markers, so one wrong marker in one seed would
-    cost 0.02.
+    F1 is computed over all seeds together. A ball touches some twenty markers, so one wrong marker in one
+    seed would cost 0.02.
     """
     rungs = (*rungs_of("contact"), *rungs_of("whole"))
     scores: dict[str, dict[str, Score]] = {rung.name: {} for rung in rungs}

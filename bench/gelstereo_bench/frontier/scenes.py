@@ -36,8 +36,8 @@ Array = npt.NDArray[np.float64]
 
 #: Conditions of all figures, stated on the page.
 CONDITIONS = (
-    "simulated; unless a table says otherwise 640x480 and 25x25 markers, image noise 2 grey levels, defocus 0.8 px, "
-    "paint grain, uneven light, gel shoulder and spread; fixed seeds"
+    "simulated; unless a table says otherwise 640x480 and 25x25 markers, image noise 2 grey levels, defocus "
+    "0.8 px, paint grain, uneven light, gel shoulder and spread; fixed seeds"
 )
 
 #: Protrusions of the paper's boards (section V-A).
@@ -89,7 +89,9 @@ class Format:
 
 
 def layered_scene() -> Scene:
-    """Scene seen through 20 mm of air, 3 mm of acrylic and 5 mm of gel (640x480, f 600 px, baseline 10 mm)."""
+    """Scene seen through 20 mm of air, 3 mm of acrylic and 5 mm of gel (640x480, f 600 px,
+    baseline 10 mm).
+    """
     return Scene.preset("640x480-25-refraction").replace({"effects": effects()})
 
 

@@ -150,7 +150,9 @@ def measure_labels(rounds: int, counter: InstructionCounter, report: Report) -> 
         known = [1.0 if share is None else share for share in wrong]
         text = f"{text} % wrong at {degrees} deg"
         if refusals:
-            text += f"; the sort refused {refusals} of {sum(map(len, presses))} frames, labelled by tracks"
+            text += (
+                f"; sorting refused {refusals} of {sum(map(len, presses))} frames, which tracking labelled"
+            )
         errors.append((name, text, 100.0 * float(np.mean(known))))
         calls[name] = repeat_last(Runner(VGA.rig(), params, native=name != yardstick), presses[0])
         if name != yardstick:

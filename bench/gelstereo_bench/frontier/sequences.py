@@ -99,7 +99,9 @@ def _press() -> list[Run]:
 
 
 def _shear(pitches: float = 2.0, twist_deg: float = 0.0, every: int = 1) -> list[Run]:
-    """Press 1 mm deep, then shear or twist the surface with the part, and back; optionally only every nth frame."""
+    """Press 1 mm deep, then shear or twist the surface with the part, and back; optionally only every nth
+    frame.
+    """
     simulator = _simulator(drag={})
     shots = [Shot.of(simulator.press(None, frame=0))]
     shots += [Shot.of(simulator.press(_pose(simulator, depth_mm), frame=1)) for depth_mm in (0.35, 0.7)]
@@ -124,7 +126,9 @@ def _dropped() -> list[Run]:
 
 
 def _rotations() -> list[Run]:
-    """Rotate the lattice in its plane by all multiples of 15 degrees; every sequence has its own first frame."""
+    """Rotate the lattice in its plane by all multiples of 15 degrees; every sequence has its own
+    first frame.
+    """
     sequences = []
     for degrees in range(0, 360, 15):
         # A smaller lattice, because the corners of the usual one would leave the image.

@@ -106,7 +106,8 @@ class InstructionCounter:
 
 
 class Stopwatch:
-    """Times the stages of one pipeline call by call with the core's example ``time``, without the binding's cost.
+    """Times the stages of one pipeline call by call with the core's example ``time``, without the binding's
+    cost.
 
     The program runs on request, so several of them and other code can alternate on one processor.
     """

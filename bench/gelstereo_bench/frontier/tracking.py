@@ -29,7 +29,9 @@ Flags = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Named:
-    """A method's result for a frame: position of marker ``row * cols + col`` in each view, and whether it was seen."""
+    """A method's result for a frame: position of marker ``row * cols + col`` in each view, and whether it was
+    seen.
+    """
 
     left_px: Array
     right_px: Array

@@ -1,7 +1,9 @@
-"""Real chessboards: our calibration and mrcal's on the same corners, and the board's shape according to each rig.
+"""Real chessboards: our calibration and mrcal's on the same corners, and the board's shape according to each
+rig.
 
-Run ``python -m gelstereo_bench.reports.chessboards --data FOLDER`` to fill docs/real-chessboards.md. mrcal is Debian's
-package of that name (https://mrcal.secretsauce.net). Without it the comparison is left out, and the page states that.
+Run ``python -m gelstereo_bench.reports.chessboards --data FOLDER`` to fill docs/real-chessboards.md. mrcal is
+Debian's package of that name (https://mrcal.secretsauce.net). Without it the comparison is left out, and the
+page states that.
 """
 
 from __future__ import annotations
@@ -117,7 +119,9 @@ def flatness(boards_mm: Sequence[Array]) -> Flatness:
 
 
 def mrcal_rig(boards: Boards) -> tuple[Rig, float] | None:
-    """Calibrate the same corners with mrcal: its rig and rms error in 2-D pixels, or `None` if it is not installed."""
+    """Calibrate the same corners with mrcal: its rig and rms error in 2-D pixels, or `None` if it is not
+    installed.
+    """
     program = shutil.which(_MRCAL)
     if program is None:
         return None
@@ -148,7 +152,9 @@ def _write_corners(path: Path, boards: Boards) -> None:
 
 
 def _rig_of(models: Sequence[dict[str, list[float]]], size_px: tuple[int, int]) -> Rig:
-    """Rig from two camera models: fx, fy, cx, cy, k1, k2, p1, p2, k3 and a rotation vector with translation."""
+    """Rig from two camera models: fx, fy, cx, cy, k1, k2, p1, p2, k3 and a rotation vector with
+    translation.
+    """
     cameras, poses = [], []
     for model in models:
         fx, fy, cx, cy, *distortion = model["intrinsics"]

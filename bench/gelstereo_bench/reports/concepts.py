@@ -1,4 +1,5 @@
-"""Pictures of docs/concepts.md: the sensor in section, the stages on one simulated frame, and what a pose comes with.
+"""Pictures of docs/concepts.md: the sensor in section, the stages on one simulated frame, and what a pose
+comes with.
 
 Run ``python -m gelstereo_bench.reports.concepts`` in the repository to draw them.
 """
@@ -35,7 +36,8 @@ __all__ = ["Example", "main"]
 
 Floats = npt.NDArray[np.float64]
 _INK, _PART, _GEL, _TOUCH = "0.15", "#d9822b", "#cfe4f2", "#d43d3d"
-#: Another part than the peg of the scene: flat where the peg is round. Its long side lies along the peg's axis.
+#: Another part than the peg of the scene: flat where the peg is round. Its long side lies along the peg's
+#: axis.
 _BOX_MM = (7.0, 7.0, 20.0)
 #: The simulated sensor's cameras and gel, sensor frame.
 _BASELINE_MM, _SURFACE_MM, _GEL_MM, _PLATE_MM = 8.0, 28.7, 5.0, 3.0

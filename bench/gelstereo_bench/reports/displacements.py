@@ -1,10 +1,11 @@
 """Displacements between rest and press frames of a real gel, through the whole pipeline.
 
-The recordings of the wheel pytac3d are clouds without images. Their markers are rendered through a simulated stereo
-rig. Detection, labelling, tracking and triangulation run on the images, and the result is compared with the recording.
+The recordings of the wheel pytac3d are clouds without images. Their markers are rendered through a simulated
+stereo rig. Detection, labelling, tracking and triangulation run on the images, and the result is compared
+with the recording.
 
-Run ``python -m gelstereo_bench.reports.displacements`` to fill docs/real-recordings.md and draw its picture; it needs
-the wheel (``pip install --no-deps pytac3d==3.3.0.9``).
+Run ``python -m gelstereo_bench.reports.displacements`` to fill docs/real-recordings.md and draw its picture;
+it needs the wheel (``pip install --no-deps pytac3d==3.3.0.9``).
 """
 
 from __future__ import annotations
@@ -58,7 +59,9 @@ class Replay:
         return self.recording.points_mm - self.recording.rest_mm
 
     def switched(self) -> npt.NDArray[np.int64]:
-        """Number of markers, per frame (F,), that are nearer to another marker's true position than to their own."""
+        """Number of markers, per frame (F,), that are nearer to another marker's true position than to their
+        own.
+        """
         counts = []
         for found_px, true_px in zip(self.press_px[0], self.true_px, strict=True):
             apart = ((found_px[:, None] - true_px[None]) ** 2).sum(axis=2)
@@ -66,7 +69,9 @@ class Replay:
         return np.array(counts)
 
     def nees(self) -> Array:
-        """Squared error (F, M) of every displacement, normalised by its covariance; 3 on average if that is right."""
+        """Squared error (F, M) of every displacement, normalised by its covariance; 3 on average if that is
+        right.
+        """
         error = self.displacement_mm - self.recorded_mm
         return np.asarray(
             np.einsum("fmi,fmi->fm", error, np.linalg.solve(self.covariance_mm2, error[..., None])[..., 0])

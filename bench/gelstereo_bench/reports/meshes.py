@@ -1,8 +1,8 @@
 """Meshes from other projects, pressed into the simulated gel and localized.
 
-Run ``python -m gelstereo_bench.reports.meshes --meshes FOLDER`` to fill the table in docs/real-recordings.md. In the
-folder are ``factory_meshes`` (pegs and a bolt of isaac-sim/IsaacGymEnvs) and ``meshes_realsense`` (a USB plug of
-realsense-ros), both in metres.
+Run ``python -m gelstereo_bench.reports.meshes --meshes FOLDER`` to fill the table in docs/real-recordings.md.
+In the folder are ``factory_meshes`` (pegs and a bolt of isaac-sim/IsaacGymEnvs) and ``meshes_realsense`` (a
+USB plug of realsense-ros), both in metres.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ class MeshPart:
     def mesh(self, folder: Path) -> trimesh.Trimesh:
         """Read the mesh in mm, its axis along z."""
         vertices, triangles = load_mesh(folder / self.path, "m")
-        # A cyclic permutation of the axes preserves the triangles' orientation; y stays the wide face's normal if x
-        # becomes z.
+        # A cyclic permutation of the axes preserves the triangles' orientation; y stays the wide face's
+        # normal if x becomes z.
         if self.along == 0:
             vertices = np.column_stack([-vertices[:, 2], vertices[:, 1], vertices[:, 0]])
         return trimesh.Trimesh(vertices, triangles, process=True)

@@ -1,7 +1,8 @@
-"""The elastic layer compared with a real sensor: prediction of the gel beside a contact from the gel under it.
+"""The elastic layer compared with a real sensor: prediction of the gel beside a contact from the gel under
+it.
 
-Run ``python -m gelstereo_bench.reports.physics`` to fill docs/simulator-physics.md; it needs the recordings of the
-wheel pytac3d (``pip install --no-deps pytac3d==3.3.0.9``).
+Run ``python -m gelstereo_bench.reports.physics`` to fill docs/simulator-physics.md; it needs the recordings
+of the wheel pytac3d (``pip install --no-deps pytac3d==3.3.0.9``).
 """
 
 from __future__ import annotations

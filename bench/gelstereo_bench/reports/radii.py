@@ -43,8 +43,8 @@ __all__ = [
 
 Array = npt.NDArray[np.float64]
 
-#: Indentation thresholds of the core, relative to the deepest marker. The middle one is reported; the others show its
-#: influence. At the edge of a Hertzian contact the ratio is 0.5.
+#: Indentation thresholds of the core, relative to the deepest marker. The middle one is reported; the others
+#: show its influence. At the edge of a Hertzian contact the ratio is 0.5.
 SHARES = (0.5, 0.6, 0.7)
 _MIN_CORE = 8
 _BLOCKS = 5
@@ -117,7 +117,9 @@ def sharpen(recording: CloudRecording, threshold_mm: float) -> Sharpened:
 def cores_mm(
     recording: CloudRecording, episode: int, contact: int, together: int, share: float, threshold_mm: float
 ) -> dict[int, Array]:
-    """Markers of one contact above a threshold relative to its deepest marker, for every frame of an episode."""
+    """Markers of one contact above a threshold relative to its deepest marker, for every frame of
+    an episode.
+    """
     indentation = recording.indentation_mm()
     found = {}
     for frame in episodes(indentation, threshold_mm)[episode]:

@@ -1,7 +1,7 @@
 """Recordings of a real sensor: contacts, radii, registration of templates, and scatter of the poses.
 
-Run ``python -m gelstereo_bench.reports.recordings`` to fill docs/real-recordings.md and draw its pictures; it needs the
-recordings of the wheel pytac3d (``pip install --no-deps pytac3d==3.3.0.9``).
+Run ``python -m gelstereo_bench.reports.recordings`` to fill docs/real-recordings.md and draw its pictures; it
+needs the recordings of the wheel pytac3d (``pip install --no-deps pytac3d==3.3.0.9``).
 """
 
 from __future__ import annotations
@@ -114,7 +114,8 @@ class Registered:
     depth_mm: float
     result: Localization
     #: Rms distance of all points from the template, along its normals. It is computed here because
-    #: `Localization.rmse_mm` weights each point by its contact probability, which hides points that do not touch.
+    #: `Localization.rmse_mm` weights each point by its contact probability, which hides points that do not
+    #: touch.
     residual_mm: float
 
 
@@ -169,7 +170,9 @@ def measure_part(sharpened: Sharpened, part: Part) -> Measured:
 
 
 def steadiness(sharpened: Sharpened, part: Part) -> tuple[Steadiness, Steadiness, float]:
-    """Scatter of a part's pose from the noise at rest, and over its frames with least motion; and that motion, mm."""
+    """Scatter of a part's pose from the noise at rest, and over its frames with least motion; and that
+    motion, mm.
+    """
     recording = sharpened.smooth
     found = touching(recording)
     frames = [
@@ -212,7 +215,7 @@ def main(arguments: list[str] | None = None) -> int:
         paper = register_part(sharpened.sharp, part, "filterreg_point", 5, whole=sharpened.whole)
         residuals.append(_row(part, parts[part.name], paper))
         steady.append(_steady_row(part, *steadiness(sharpened, part)))
-    head = ["part", "frames", "markers", "residual um", "paper's rung um", "free"]
+    head = ["part", "frames", "markers", "residual um", "paper's method um", "free"]
     replace_between(page, "parts", table(head, residuals))
     head = [
         "part",

@@ -1,7 +1,7 @@
 """The gallery of scenes: a picture, the plan and a digest of each.
 
-Run ``python -m gelstereo_bench.reports.scenes`` in the repository to fill docs/scenes.md and its pictures; ``--check``
-lists changed digests and writes nothing.
+Run ``python -m gelstereo_bench.reports.scenes`` in the repository to fill docs/scenes.md and its pictures;
+``--check`` lists changed digests and writes nothing.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Scatter of registered poses due to a recording's noise, compared with the predicted covariance.
 
-Part of ``python -m gelstereo_bench.reports.recordings``. No part in the recording is at rest, because it is moved by
-hand. Therefore the noise of frames without contact is added to one pressed frame. In the frames with least motion a
-parabola over time is removed.
+Part of ``python -m gelstereo_bench.reports.recordings``. No part in the recording is at rest, because it is
+moved by hand. Therefore the noise of frames without contact is added to one pressed frame. In the frames with
+least motion a parabola over time is removed.
 """
 
 from __future__ import annotations
@@ -114,9 +114,9 @@ def stillest(points_mm: Array, cores: Mapping[int, Indices], frames: int) -> tup
 
 
 def _params(method: str) -> Params:
-    # A step tolerance small enough that convergence adds nothing to the scatter. The gel deviates from the part by more
-    # than the noise, so the default deviation of a point is kept, and the information is scaled to the noise
-    # afterwards.
+    # A step tolerance small enough that convergence adds nothing to the scatter. The gel deviates from the
+    # part by more than the noise, so the default deviation of a point is kept, and the information is scaled
+    # to the noise afterwards.
     return Params().replace({"register.method": method, "register.advanced.step_tolerance": 1e-6})
 
 
@@ -131,8 +131,8 @@ def _twists(found: Sequence[Localization], centre_mm: Array) -> Array:
 def _steadiness(
     found: Sequence[Localization], left: Array, points_mm: Array, freedom: float, sigma_mm: float
 ) -> Steadiness:
-    """Compare twists about the points' centroid, corrected for lost degrees of freedom, with the first information
-    matrix.
+    """Compare twists about the points' centroid, corrected for lost degrees of freedom, with the first
+    information matrix.
     """
     centre = points_mm.mean(axis=0)
     # A twist (ω, v) about the centroid is (ω, v - ω x centre) about the sensor.

@@ -1,1 +1,3 @@
-"""How much every picked constant of the core matters: each is changed in a scratch build, and its stage measured."""
+"""How much every picked constant of the core matters: each is changed in a scratch build, and its stage
+measured.
+"""

@@ -21,9 +21,10 @@ RESULTS = Path(__file__).parent / "results.json"
 SCRATCH = REPOSITORY / "target/sensitivity"
 
 _EXAMPLES = """\
-The sweep changes every constant that docs/constants.md lists by factors of 0.5, 0.8, 1.25 and 2, one at a time,
-and evaluates its stage against ground truth. It takes about three quarters of an hour, may be stopped at any time,
-and goes on with what is missing: constants that are new, or have another value than they were swept with.
+The sweep changes every constant that docs/constants.md lists by factors of 0.5, 0.8, 1.25 and 2, one at a
+time, and evaluates its stage against ground truth. It takes about three quarters of an hour, may be stopped
+at any time, and goes on with what is missing: constants that are new, or have another value than they were
+swept with.
 
   python -m gelstereo_bench.sensitivity            sweep what is missing
   python -m gelstereo_bench.sensitivity --again 'detect/mask'   first forget what begins so

@@ -14,8 +14,8 @@ __all__ = ["NOTED", "Case", "Evaluation", "Kind", "change", "kind_of"]
 
 Kind = Literal["share", "contact", "count", "strays", "error", "ratio"]
 
-#: By kind: the least change that a page tells. Shares and contact's F1 are in points of a per cent, counts are as they
-#: are, errors and ratios are shares of the value.
+#: By kind: the least change that a page tells. Shares and contact's F1 are in points of a per cent, counts
+#: are as they are, errors and ratios are shares of the value.
 NOTED: dict[Kind, float] = {
     "share": 0.5,
     "contact": 1.0,
@@ -24,8 +24,8 @@ NOTED: dict[Kind, float] = {
     "error": 0.02,
     "ratio": 0.05,
 }
-#: The same for methods whose steps turn on small differences. Another order of the markers, which should change
-#: nothing, changes the shares of `surface_search` by up to 10 points, and its errors by up to 19 %.
+#: The same for methods whose steps turn on small differences. Another order of the markers, which should
+#: change nothing, changes the shares of `surface_search` by up to 10 points, and its errors by up to 19 %.
 _COARSE: dict[str, dict[Kind, float]] = {
     "surface_search": {"share": 11.0, "ratio": 0.2},
     "surface_close": {"share": 5.0, "ratio": 0.1},

@@ -6,12 +6,13 @@ import json
 import re
 import shutil
 import subprocess
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from gelstereo_bench.sensitivity.source import Definition, Source, sources
 
-__all__ = ["BORROWED", "FIXED", "NESTED", "NOT_A_NUMBER", "build"]
+__all__ = ["BORROWED", "FIXED", "NESTED", "NOT_A_NUMBER", "build", "copy_workspace"]
 
 FIXED = "fixes a size"
 BORROWED = "borrowed as a whole table"
@@ -212,7 +213,8 @@ class _Rewriting:
             if self.by_key.get(key) is not each or not self.scaled(key):
                 continue
             head = (
-                f"\n#[allow(non_camel_case_types, dead_code, missing_docs)]\n{each.visibility}struct {each.name} {{}}\n"
+                f"\n#[allow(non_camel_case_types, dead_code, missing_docs)]\n{each.visibility}struct "
+                f"{each.name} {{}}\n"
                 f"#[allow(dead_code, missing_docs)]\nimpl {each.name} {{\n    #[inline(always)]\n"
                 f"    pub fn get() -> {each.type} {{ "
             )
@@ -228,9 +230,12 @@ def _module(file: str) -> str:
     return path.parent.name if path.stem == "mod" else path.stem
 
 
-def _copy(repository: Path, scratch: Path) -> None:
+def copy_workspace(repository: Path, scratch: Path, names: Iterable[str]) -> None:
+    """A copy of these files and folders in which the compiler does not warn of what a rewritten
+    source lacks.
+    """
     shutil.rmtree(scratch, ignore_errors=True)
-    for name in _COPIED:
+    for name in names:
         to = scratch / name
         to.parent.mkdir(parents=True, exist_ok=True)
         if (repository / name).is_dir():
@@ -244,6 +249,9 @@ def _copy(repository: Path, scratch: Path) -> None:
         "[workspace.lints.rust]", '[workspace.lints.rust]\nunused = { level = "allow", priority = -1 }'
     )
     manifest.write_text(text, encoding="utf-8")
+
+
+def _open_doors(scratch: Path) -> None:
     doors = scratch / "crates/gelstereo-python/src/lib.rs"
     text = doors.read_text(encoding="utf-8").replace("#![forbid(unsafe_code)]", "")
     doors.write_text(text + _DOORS, encoding="utf-8")
@@ -291,7 +299,8 @@ def _blamed(rewriting: _Rewriting, errors: list[dict[str, object]]) -> dict[Key,
 
 def build(repository: Path, scratch: Path, target: Path, listed: list[Key]) -> dict[Key, str]:
     """Copy, rewrite until it compiles, and build the library; return what could not be rewritten, and why."""
-    _copy(repository, scratch)
+    copy_workspace(repository, scratch, _COPIED)
+    _open_doors(scratch)
     core = scratch / _CORE
     rewriting = _Rewriting(sources(repository / _CORE), listed)
     (core / "factors.rs").write_text(_FACTORS.replace("COUNT", str(max(len(listed), 1))), encoding="utf-8")

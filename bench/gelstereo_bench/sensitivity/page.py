@@ -60,7 +60,8 @@ def _range(factors: list[str]) -> str:
     if len(factors) == 1:
         return factors[0]
     # Nothing lies between 0.8 and 1.25 but the default.
-    return f"{factors[0]} {'and' if len(factors) == 2 and set(factors) != {'0.8', '1.25'} else 'to'} {factors[-1]}"
+    apart = len(factors) == 2 and set(factors) != {"0.8", "1.25"}
+    return f"{factors[0]} {'and' if apart else 'to'} {factors[-1]}"
 
 
 def _result(result: Result) -> str:

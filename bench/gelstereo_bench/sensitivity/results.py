@@ -75,7 +75,9 @@ def save(path: Path, entries: dict[str, Entry]) -> None:
 
 
 def pruned(entries: dict[str, Entry], values: dict[str, str]) -> dict[str, Entry]:
-    """Without constants that are gone; one that moved to another file with name and value takes its entry along."""
+    """Without constants that are gone; one that moved to another file with name and value takes its entry
+    along.
+    """
     kept = {key: entry for key, entry in entries.items() if key in values}
     for key, entry in entries.items():
         if key in values:

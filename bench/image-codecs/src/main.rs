@@ -1,8 +1,8 @@
 //! Lossless codecs for recorded images, compared in size and time on one core.
 //!
-//! `cargo run --release --manifest-path bench/image-codecs/Cargo.toml -- [folder with real images]` prints the table of
-//! `docs/recordings.md`. Simulated pairs have 640 x 480 pixels. Real images are read as grey and given to the codecs as
-//! they are; images that were JPEG before show less noise than a camera's raw ones.
+//! `cargo run --release --manifest-path bench/image-codecs/Cargo.toml -- [folder with real images]` prints
+//! the table of `docs/recordings.md`. Simulated pairs have 640 x 480 pixels. Real images are read as grey and
+//! given to the codecs as they are; images that were JPEG before show less noise than a camera's raw ones.
 
 use gelstereo_core::math::{DVec3, Pose};
 use gelstereo_host::recording::png::PngEncoder;
@@ -168,7 +168,8 @@ fn measure(name: &str, images: &[Gray], bound: Option<f64>) {
         println!("  no code can be below {bits:.2} bits a pixel, {:.2} MB/s", rate(bits));
     }
     println!(
-        "| codec | bits a pixel | MB/s at 640 x 480 x 30 pairs | ms a pair of 640 x 480 |\n|---|---:|---:|---:|"
+        "| codec | bits a pixel | MB/s at 640 x 480 x 30 pairs | ms a pair of 640 x 480 |\n\
+         |---|---:|---:|---:|"
     );
     for (codec, mut encode) in codecs() {
         let (mut bytes, mut seconds) = (0, 0.0);

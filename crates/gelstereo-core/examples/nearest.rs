@@ -1,8 +1,8 @@
 //! Times of distances to a part, nanoseconds a query, and the grid's error: `nearest [ROUNDS [NAME]]`.
 //!
-//! The part is a bent torus of 5184 triangles. The queries are patches of 49 points, 0.9 mm apart, up to so many
-//! millimetres off the surface. Times are the least of all rounds; what is timed runs inside [`measured`], for
-//! callgrind's `--toggle-collect`.
+//! The part is a bent torus of 5184 triangles. The queries are patches of 49 points, 0.9 mm apart, up to so
+//! many millimetres off the surface. Times are the least of all rounds; what is timed runs inside
+//! [`measured`], for callgrind's `--toggle-collect`.
 #![allow(clippy::print_stdout, reason = "it is a program")]
 
 use gelstereo_core::math::DVec3;

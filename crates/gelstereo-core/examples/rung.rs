@@ -9,14 +9,14 @@
 //! rung localize params.toml part.txt contact.txt ...
 //! ```
 //!
-//! All input but the last piece warms up; only the last runs inside [`measured`], which `--toggle-collect` names. `frames`
-//! measures all frames but the first, there and back twice, one by one: `--dump-after` gives each its own count. `afresh`
-//! measures a frame of which nothing is known.
-//! Text files hold numbers separated by white space: x y z nx ny nz per template point after one line with the
-//! spacing, x y z per patch point, and the rows of the guess. `localize` measures every contact on a part's surface with
-//! all its markers: the part is a count of vertices, their x y z, and the corners of the triangles; a contact the rows of
-//! the guess, a count of salient points, x y z and xx yy zz xy xz yz of the covariance of each, and x y z of the others.
-//! It prints the digest, microseconds, and rows of the pose for each.
+//! All input but the last piece warms up; only the last runs inside [`measured`], which `--toggle-collect`
+//! names. `frames` measures all frames but the first, there and back twice, one by one: `--dump-after` gives
+//! each its own count. `afresh` measures a frame without a predecessor. Text files hold numbers separated
+//! by white space: x y z nx ny nz per template point after one line with the spacing, x y z per patch point,
+//! and the rows of the guess. `localize` measures every contact on a part's surface with all its markers: the
+//! part is a count of vertices, their x y z, and the corners of the triangles; a contact the rows of the
+//! guess, a count of salient points, x y z and xx yy zz xy xz yz of the covariance of each, and x y z of the
+//! others. It prints the digest, microseconds, and rows of the pose for each.
 #![allow(clippy::print_stdout, reason = "it is a program")]
 
 #[path = "support/pgm.rs"]

@@ -4,9 +4,10 @@
 //! starts [method] [contacts per part and class]      surface_search 20
 //! ```
 //!
-//! Every line is a part, every column a class of starts: contacts found to 2 degrees and 0.3 mm over the directions that
-//! the contact determines, the error of those over the Cramér-Rao bound (root mean square and median), and the least of
-//! five times. Simulated, noise 0.03 mm along z, 0.015 mm across; "noisy" twice that with a tenth of outliers.
+//! Every line is a part, every column a class of starts: contacts found to 2 degrees and 0.3 mm over the
+//! directions that the contact determines, the error of those over the Cramér-Rao bound (root mean square and
+//! median), and the least of five times. Simulated, noise 0.03 mm along z, 0.015 mm across; "noisy" twice
+//! that with a tenth of outliers.
 #![allow(clippy::print_stdout, clippy::unwrap_used, reason = "it is a program for the bench")]
 
 #[path = "../tests/problems/mod.rs"]

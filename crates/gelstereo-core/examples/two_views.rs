@@ -2,8 +2,8 @@
 //!
 //! `cargo run --release -p gelstereo-core --example two_views`
 //!
-//! The images are drawn here: dark dots on a gel, at rest and with a ball in it. Replace `draw` by your two cameras, and
-//! `rig` by their calibration.
+//! The images are drawn here: dark dots on a gel, at rest and with a ball in it. Replace `draw` by your two
+//! cameras, and `rig` by their calibration.
 #![allow(clippy::print_stdout, reason = "it is a program")]
 
 use gelstereo_core::camera::Camera;

@@ -75,7 +75,8 @@ impl core::fmt::Display for ImageError {
             }
             Self::Outside { right, bottom, width, height } => write!(
                 f,
-                "the part ends at column {right}, row {bottom}; the image has {width} columns and {height} rows"
+                "the part ends at column {right}, row {bottom}; the image has {width} columns and {height} \
+                rows"
             ),
         }
     }

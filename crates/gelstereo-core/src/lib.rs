@@ -20,6 +20,7 @@
 extern crate alloc;
 
 pub mod camera;
+pub mod color;
 pub mod contact;
 pub mod detect;
 pub mod digest;

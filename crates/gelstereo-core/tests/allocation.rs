@@ -77,25 +77,6 @@ fn an_image_that_half_its_size_does_not_show_allocates_nothing() {
 }
 
 #[test]
-fn the_search_near_positions_allocates_for_the_first_image_only() {
-    let truth = paper_lattice();
-    let few = Dots::new(640, 480, truth[..100].to_vec()).render();
-    let mut stream = Stream::new(1, "noise");
-    let noise: Vec<u8> = (0..640 * 480).map(|_| stream.next_u64() as u8).collect();
-    for background in [Background::Gaussian, Background::Blocks] {
-        for threshold in [Threshold::Fixed, Threshold::Auto] {
-            let mut params = Params::preset("balanced").unwrap().detect;
-            (params.background, params.threshold, params.min_area_px2) = (background, threshold, 1);
-            let (mut detector, mut found) = (Detector::new(&params), Found::default());
-            let mut search =
-                |image: &[u8]| detector.run_near(view(image, 640), &truth, 8.8, &mut found).unwrap();
-            assert!(allocations(|| search(&few)) > 0);
-            assert_eq!(allocations(|| [&noise, &few, &noise].into_iter().for_each(|i| search(i))), 0);
-        }
-    }
-}
-
-#[test]
 fn the_search_in_windows_allocates_nothing_once_there_is_room() {
     let truth = paper_lattice();
     let few = Dots::new(640, 480, truth[..100].to_vec()).render();

@@ -44,8 +44,8 @@ fn some(name: &str) -> &'static (Part, Template) {
     stock.iter().find(|(part, _)| part.name == name).unwrap()
 }
 
-/// A part lying right across gel of that decay length, its ends out of sight, `radius_mm` high over its axis and pressed
-/// 1 mm deep.
+/// A part lying right across gel of that decay length, its ends out of sight, `radius_mm` high over its axis
+/// and pressed 1 mm deep.
 fn across(part: &Part, decay_mm: f64, (radius_mm, roll_rad): (f64, f64), random: &mut Stream) -> Problem {
     let lying = Pose::exp(DVec3::Y * FRAC_PI_2, DVec3::ZERO) * Pose::exp(DVec3::Z * roll_rad, DVec3::ZERO);
     let half_mm = part.mesh.corners().flatten().map(|p| p.z).fold(0.0, f64::max) / 2.0;
@@ -54,8 +54,8 @@ fn across(part: &Part, decay_mm: f64, (radius_mm, roll_rad): (f64, f64), random:
     Problem::sense(&Gel::press_into(decay_mm, part, &t_sensor_object), t_sensor_object, Sensing::GOOD, random)
 }
 
-/// A thread in gel that follows it into its grooves, on a sensor that sees 10 mm: its ends are so far off that it may be
-/// anywhere within some 7 mm.
+/// A thread in gel that follows it into its grooves, on a sensor that sees 10 mm: its ends are so far off
+/// that it may be anywhere within some 7 mm.
 fn thread(roll_rad: f64, random: &mut Stream) -> Problem {
     let mut problem = across(&some("bolt M10").0, 0.1, (5.0, roll_rad), random);
     let near = |p: &DVec3| p.x.abs() < 5.0;
@@ -109,8 +109,8 @@ fn poses_screwed_along_a_thread_are_one_and_every_pitch_is_another() {
             assert!(all.iter().all(|k| (k - k.round()).abs() < 0.05), "{all:?}");
             let whole: BTreeSet<i64> = all.iter().map(|k| k.round() as i64).collect();
             assert_eq!(whole.len(), all.len(), "one pitch twice: {all:?}");
-            // The guess is known to 2 mm: two pitches and a half off it, 3.75 mm, cost 1.8 more than half a pitch off, and
-            // nothing else tells these six apart.
+            // The guess is known to 2 mm: two pitches and a half off it, 3.75 mm, cost 1.8 more than half a
+            // pitch off, and nothing else tells these six apart.
             missing += (-2..=3).filter(|k| !whole.contains(k)).count();
         }
     }
@@ -144,10 +144,11 @@ fn peg(sides: u32) -> Part {
     Part::new("peg", false, prism(&outline, 30.0), |_, facet| facet)
 }
 
-/// From half way between two sides that are alike both are as likely, but for the guess; once the sides are declared to be
-/// alike they are one.
+/// From half way between two sides that are alike both are as likely, but for the guess; once the sides are
+/// declared to be alike they are one.
 ///
-/// A triangle's edges are sharp: whether a row of markers at one has the part under it or hangs may turn on rounding.
+/// A triangle's edges are sharp: whether a row of markers at one has the part under it or hangs may turn on
+/// rounding.
 #[test]
 fn a_peg_half_way_between_two_sides_may_lie_on_both() {
     for sides in [3, 4, 6] {

@@ -28,7 +28,8 @@ proptest! {
         let ray = DVec3::new(x, y, 1.0) * 30.0;
         let pixel = camera.project(ray).unwrap();
         let back = camera.undistort(pixel).unwrap();
-        // Pixels of up to 1000 carry 1e-13 of round-off, that is 2e-16 of the ray, amplified by at most 1 / J < 10.
+        // Pixels of up to 1000 carry 1e-13 of round-off, that is 2e-16 of the ray, amplified by at most 1 / J
+        // < 10.
         prop_assert!((back - DVec2::new(x, y)).length() < 1e-13, "{back:?}");
     }
 
@@ -72,10 +73,12 @@ fn row_22_a_pixel_beyond_the_monotone_range_is_refused() {
 }
 
 proptest! {
-    /// One radial term folds over at r = 1 / sqrt(-3 k1), where r_d = 2 r / 3: every pixel within has a ray of less slope, which
-    /// leads back to it, and none beyond has any.
+    /// One radial term folds over at r = 1 / sqrt(-3 k1), where r_d = 2 r / 3: every pixel within has a ray
+    /// of less slope, which leads back to it, and none beyond has any.
     #[test]
-    fn row_22_one_radial_term_is_inverted_up_to_its_fold(k1 in -3.0..-0.05_f64, share in 0.0..3.0_f64, way in 0.0..6.3_f64) {
+    fn row_22_one_radial_term_is_inverted_up_to_its_fold(
+        k1 in -3.0..-0.05_f64, share in 0.0..3.0_f64, way in 0.0..6.3_f64,
+    ) {
         prop_assume!((share - 1.0).abs() > 1e-6);
         let fold = (-3.0 * k1).sqrt().recip();
         let camera = camera([k1, 0.0, 0.0, 0.0, 0.0]);
@@ -86,9 +89,14 @@ proptest! {
                 prop_assert!(share < 1.0 && p.length() < fold, "{p} for {share} of the fold");
                 // A pixel is off by round-off, the ray by that over the slope, which vanishes at the fold.
                 let back = p * (1.0 + k1 * p.length_squared());
-                prop_assert!(back.distance(distorted) < 16.0 * f64::EPSILON * (1.0 + fold), "{back} {distorted}");
+                prop_assert!(
+                    back.distance(distorted) < 16.0 * f64::EPSILON * (1.0 + fold),
+                    "{back} {distorted}"
+                );
             }
-            Err(error) => prop_assert!(share > 1.0 && matches!(error, CameraError::BeyondDistortion { .. }), "{share}"),
+            Err(error) => {
+                prop_assert!(share > 1.0 && matches!(error, CameraError::BeyondDistortion { .. }), "{share}")
+            }
         }
     }
 }
@@ -126,6 +134,39 @@ fn a_pixel_astronomically_far_aside_has_no_ray() {
                 camera(distortion).undistort(pixel_px),
                 Err(CameraError::BeyondDistortion { pixel_px })
             );
+        }
+    }
+}
+
+proptest! {
+    /// A pixel with a NaN or infinite coordinate has an error of its own, with and without lens distortion.
+    /// It is not reported as lying beyond the range of the distortion.
+    #[test]
+    fn a_pixel_that_is_not_finite_has_no_ray(
+        bad in prop::sample::select(vec![f64::NAN, f64::INFINITY, f64::NEG_INFINITY]),
+        good in -100.0..700.0_f64, is_row in any::<bool>(), k1 in prop::sample::select(vec![0.0, -0.2]),
+    ) {
+        let pixel_px = if is_row { DVec2::new(good, bad) } else { DVec2::new(bad, good) };
+        let found = camera([k1, 0.0, 0.0, 0.0, 0.0]).undistort(pixel_px);
+        prop_assert_eq!(found, Err(CameraError::PixelNotFinite));
+    }
+
+    /// The right camera lies within 60 degrees of the left one's x axis, or the two are not side by side.
+    #[test]
+    fn the_right_camera_is_beside_the_left_one(
+        off_deg in 0.0..180.0_f64, around in 0.0..6.3_f64, baseline_mm in 1.0..50.0_f64,
+    ) {
+        // Beside the bound, round-off decides.
+        prop_assume!((off_deg - 60.0).abs() > 1e-6);
+        let (sine, cosine) = off_deg.to_radians().sin_cos();
+        let centre = DVec3::new(cosine, sine * around.cos(), sine * around.sin()) * baseline_mm;
+        let t_right_left = Pose::from_translation_mm(-centre);
+        let rig = Rig { t_right_left, ..Rig::parallel(camera([0.0; 5]), baseline_mm) };
+        match rig.validate() {
+            Ok(()) => prop_assert!(off_deg < 60.0),
+            Err(error) => {
+                prop_assert!(off_deg > 60.0 && matches!(error, RigError::NotSideBySide { .. }), "{error}")
+            }
         }
     }
 }

@@ -21,7 +21,8 @@ proptest! {
         height in -1.0..2.0_f64,
         slide in prop::array::uniform2(-1.0..1.0_f64),
     ) {
-        let pose = Pose { rotation: so3::exp(DVec3::from_array(tilt)), translation_mm: DVec3::new(4.0, 0.0, 28.7) };
+        let pose =
+            Pose { rotation: so3::exp(DVec3::from_array(tilt)), translation_mm: DVec3::new(4.0, 0.0, 28.7) };
         let rest = RestSurface::new(&lattice(&pose)).unwrap();
         let moved = lattice(&(pose * Pose::from_translation_mm(DVec3::new(slide[0], slide[1], -height))));
         let mut indentation = Vec::new();
@@ -37,7 +38,8 @@ fn on_face(i: usize) -> bool {
     (4..10).contains(&(i / 15)) && (4..10).contains(&(i % 15))
 }
 
-/// Heights over 15 x 15 markers 0.9 mm apart: the free membrane beside a flat face over rows and columns 4 to 9, and noise.
+/// Heights over 15 x 15 markers 0.9 mm apart: the free membrane beside a flat face over rows and columns 4 to
+/// 9, and noise.
 fn pressed_face(noise: &[f64]) -> Vec<f64> {
     let (n, reach2) = (15, (2.5_f64 / 0.9).powi(2));
     let mut heights: Vec<f64> = (0..n * n).map(|i| if on_face(i) { 0.8 } else { 0.0 }).collect();
@@ -76,7 +78,8 @@ fn in_contact(
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(32))]
 
-    /// Rows and columns may be swapped or counted from the other end, and the gel may lie in space as it likes.
+    /// Rows and columns may be swapped or counted from the other end, and the gel may lie in space as it
+    /// likes.
     #[test]
     fn pressure_does_not_depend_on_the_view(
         noise in prop::collection::vec(-1.7..1.7_f64, 225),
@@ -85,7 +88,8 @@ proptest! {
         let heights = pressed_face(&noise);
         let flat = square(&Pose::IDENTITY);
         let found = in_contact(&flat, &heights, &[Seen; 225]);
-        // A free marker beside the face's edge is called in contact beyond 2.8 standard deviations: 0.06 of the 24 are.
+        // A free marker beside the face's edge is called in contact beyond 2.8 standard deviations: 0.06 of
+        // the 24 are.
         prop_assert!((0..225).filter(|&i| found[i] != on_face(i)).count() <= 3);
         let views: [fn(usize) -> usize; 3] =
             [|i| i / 15 * 15 + 14 - i % 15, |i| (14 - i / 15) * 15 + i % 15, |i| i % 15 * 15 + i / 15];
@@ -94,7 +98,8 @@ proptest! {
             let again = in_contact(&flat, &seen, &[Seen; 225]);
             prop_assert!((0..225).all(|i| again[i] == found[view(i)]));
         }
-        let pose = Pose { rotation: so3::exp(DVec3::from_array(tilt)), translation_mm: DVec3::new(4.0, 0.0, 28.7) };
+        let pose =
+            Pose { rotation: so3::exp(DVec3::from_array(tilt)), translation_mm: DVec3::new(4.0, 0.0, 28.7) };
         let tilted = square(&pose);
         let cloud: Vec<DVec3> =
             tilted.points_mm().iter().zip(&heights).map(|(&p, &h)| p + tilted.normal() * h).collect();
@@ -118,7 +123,8 @@ proptest! {
         prop_assert!(gone.iter().all(|&i| !found[i]));
         // A marker beside one that is not seen may be judged wrongly; elsewhere it is as above.
         let wrong = |&i: &usize| state[i] == Seen && found[i] != on_face(i);
-        let near = |i: usize| gone.iter().any(|&g| (g / 15).abs_diff(i / 15) + (g % 15).abs_diff(i % 15) <= 2);
+        let near =
+            |i: usize| gone.iter().any(|&g| (g / 15).abs_diff(i / 15) + (g % 15).abs_diff(i % 15) <= 2);
         prop_assert!((0..225).filter(wrong).filter(|&i| !near(i)).count() <= 3);
     }
 }
@@ -207,7 +213,8 @@ proptest! {
     fn adjustment_brings_the_object_to_the_goal(
         goal in prop::array::uniform6(-1.0..1.0_f64), grasp in prop::array::uniform6(-1.0..1.0_f64),
     ) {
-        let pose = |t: [f64; 6]| Pose::exp(DVec3::new(t[0], t[1], t[2]), DVec3::new(t[3], t[4], t[5]) * 100.0);
+        let pose =
+            |t: [f64; 6]| Pose::exp(DVec3::new(t[0], t[1], t[2]), DVec3::new(t[3], t[4], t[5]) * 100.0);
         let reached = adjusted_gripper(&pose(goal), &pose(grasp)) * pose(grasp);
         prop_assert!((reached.translation_mm - pose(goal).translation_mm).length() < 1e-12 * 400.0);
         prop_assert!(reached.rotation.dot(pose(goal).rotation).abs() > 1.0 - 1e-14);
@@ -236,5 +243,47 @@ fn coordinates_too_large_to_square_span_no_rest_plane() {
     for size in [1e160, 1e300, 1e308] {
         let points = [DVec3::ZERO, DVec3::X * size, DVec3::Y * size];
         assert_eq!(RestSurface::new(&points), Err(ContactError::NoPlane { points: 3 }));
+    }
+}
+
+proptest! {
+    /// A point that is not finite has no height, whichever of its coordinates it is; nothing is written.
+    #[test]
+    fn points_that_are_not_finite_have_no_height(
+        index in 0usize..49, axis in 0usize..3, bad in prop::sample::select(vec![f64::NAN, f64::INFINITY]),
+    ) {
+        let mut points = lattice(&Pose::IDENTITY);
+        let rest = RestSurface::new(&points).unwrap();
+        points[index][axis] = bad;
+        let mut indentation = vec![1.0];
+        prop_assert_eq!(
+            rest.indentation_mm(&points, &mut indentation),
+            Err(ContactError::NotFinite { index })
+        );
+        prop_assert!(indentation.is_empty());
+        prop_assert_eq!(RestSurface::new(&points), Err(ContactError::NotFinite { index }));
+    }
+}
+
+proptest! {
+    /// Another decay length leaves nothing of the one before.
+    #[test]
+    fn a_decay_length_that_is_set_is_one_from_the_start(
+        first_mm in 0.3..6.0_f64, then_mm in 0.3..6.0_f64,
+        heights in prop::collection::vec(-0.2..1.0_f64, 225),
+    ) {
+        let rest = square(&Pose::IDENTITY);
+        let pressures = |pressure: &mut Pressure| {
+            let mut found = Vec::new();
+            pressure.run(&heights, std::iter::repeat_n(25e-6, 225), &[Seen; 225], &mut found).unwrap();
+            pressure.pressure_mm().to_vec()
+        };
+        let mut changed = Pressure::new(&rest, 15, 15, first_mm).unwrap();
+        changed.set_decay(then_mm).unwrap();
+        let mut new = Pressure::new(&rest, 15, 15, then_mm).unwrap();
+        for (changed, new) in pressures(&mut changed).into_iter().zip(pressures(&mut new)) {
+            // Round-off of five terms of up to 4 (6 / 0.9)² times a height.
+            prop_assert!((changed - new).abs() < 1e-12, "{changed} {new}");
+        }
     }
 }

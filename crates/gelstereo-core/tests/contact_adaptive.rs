@@ -115,7 +115,10 @@ proptest! {
         prop_assert!(rule.is_some());
         for ((i, &touches), (x, y)) in truth.iter().enumerate().zip(places()) {
             let from_edge_mm = (x - press.centre_mm.0).hypot(y - press.centre_mm.1) - press.radius_mm;
-            prop_assert!(from_edge_mm.abs() < FAR_MM || found[i] == touches, "{from_edge_mm} mm {rule:?} {press:?}");
+            prop_assert!(
+                from_edge_mm.abs() < FAR_MM || found[i] == touches,
+                "{from_edge_mm} mm {rule:?} {press:?}"
+            );
         }
     }
 

@@ -30,8 +30,13 @@ proptest! {
         for cell in (0..frame.points_mm.len()).filter(|&cell| surface.is_known(cell)) {
             let at = surface.rest_mm(cell / surface.cols(), cell % surface.cols());
             let expected = at.extend(28.7 + slope.dot(at));
-            // Areas are differences of products of the lattice's extent, which rounds 1e2 eps of a cell's area.
-            prop_assert!(frame.points_mm[cell].distance(expected) < 1e-11, "{cell}: {:?}", frame.points_mm[cell] - expected);
+            // Areas are differences of products of the lattice's extent, which rounds 1e2 eps of a cell's
+            // area.
+            prop_assert!(
+                frame.points_mm[cell].distance(expected) < 1e-11,
+                "{cell}: {:?}",
+                frame.points_mm[cell] - expected
+            );
             prop_assert!(frame.normals[cell].distance(normal) < 1e-12);
             known += 1;
         }
@@ -39,10 +44,10 @@ proptest! {
     }
 }
 
-/// Weights are at least 0, add up to 1 and reproduce the cell's place, so the error is half of the curvature times the
-/// weighted square of the distances to the neighbours. These stand at most where a cell of markers has its corners,
-/// h / √2 from the cell's middle: h² / (4 R), twice that of a plain h² / 8 along one axis. A sphere's heights bend by 1 / R
-/// times 1 / cos³ of the steepest slope.
+/// Weights are at least 0, add up to 1 and reproduce the cell's place, so the error is half of the curvature
+/// times the weighted square of the distances to the neighbours. These stand at most where a cell of markers
+/// has its corners, h / √2 from the cell's middle: h² / (4 R), twice that of a plain h² / 8 along one axis. A
+/// sphere's heights bend by 1 / R times 1 / cos³ of the steepest slope.
 #[test]
 fn a_sphere_is_found_within_the_curvature_bound() {
     let (pitch_mm, radius_mm) = (0.9, 20.0_f64);
@@ -63,8 +68,8 @@ fn a_sphere_is_found_within_the_curvature_bound() {
     assert!(worst_mm > 0.2 * bound_mm, "the bound is a loose one: {worst_mm} mm of {bound_mm} mm");
 }
 
-/// Weights by counting: the spots of a fine raster that are nearer to the cell than to any marker, by the marker that was
-/// nearest before (Park et al. 2006, "Discrete Sibson interpolation").
+/// Weights by counting: the spots of a fine raster that are nearer to the cell than to any marker, by the
+/// marker that was nearest before (Park et al. 2006, "Discrete Sibson interpolation").
 #[test]
 fn weights_agree_with_counted_areas() {
     let mut rest = lattice(6, 5, 0.9, DVec2::ZERO, 17.0, 0.1);
@@ -101,9 +106,10 @@ fn weights_agree_with_counted_areas() {
     assert!(compared > 10);
 }
 
-/// On the exact lattice every cell of markers is cocircular; its hull, its edges and its markers are met exactly, or but for
-/// round-off where the lattice is turned. Cells reach as far as the markers; their weights are shares, and reproduce the place
-/// to the rounding of areas, 1e2 eps of a cell's, over which coordinates of up to 1e3 mm round as well.
+/// On the exact lattice every cell of markers is cocircular; its hull, its edges and its markers are met
+/// exactly, or but for round-off where the lattice is turned. Cells reach as far as the markers; their
+/// weights are shares, and reproduce the place to the rounding of areas, 1e2 eps of a cell's, over which
+/// coordinates of up to 1e3 mm round as well.
 #[test]
 fn row_13_an_exact_lattice_has_weights_everywhere() {
     let placed = [(DVec2::ZERO, 0.0_f64), (DVec2::new(1e3, -1e3), 0.0), (DVec2::ZERO, 45.0)];
@@ -174,8 +180,8 @@ fn row_14_input_without_a_dense_surface_is_refused_by_name() {
     }
 }
 
-/// The larger of two triangles folded over the smaller one: every marker has a normal, but midway between the corner of the one
-/// and a corner of both they cancel.
+/// The larger of two triangles folded over the smaller one: every marker has a normal, but midway between the
+/// corner of the one and a corner of both they cancel.
 #[test]
 fn row_14_a_fold_between_markers_is_refused_by_name() {
     let rest = [DVec2::ZERO, DVec2::X, DVec2::Y, DVec2::splat(1.1)];
@@ -186,8 +192,8 @@ fn row_14_a_fold_between_markers_is_refused_by_name() {
     assert!(frame.points_mm.is_empty() && frame.normals.is_empty());
 }
 
-/// Found by fuzzing: a step of 4e256 mm put all markers on one spot of the grid, and one of 1 mm did so with rows 1e-41 mm
-/// apart; the interpolation of no triangles then panicked.
+/// Found by fuzzing: a step of 4e256 mm put all markers on one spot of the grid, and one of 1 mm did so with
+/// rows 1e-41 mm apart; the interpolation of no triangles then panicked.
 #[test]
 fn steps_that_leave_nothing_between_the_markers_are_refused() {
     let at = |height: f64| -> Vec<DVec2> {

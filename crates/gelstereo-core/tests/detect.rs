@@ -38,8 +38,9 @@ fn every_rung_finds_every_dot() {
             let markers = detect(&params, &dots.render(), 640).unwrap();
             let (rms, near) = errors(&markers.centres_px, &truth);
             assert_eq!((markers.centres_px.len(), near), (625, 625));
-            // Binary: an edge pixel counts or not, 2 pi r = 27 pixels of variance 1/12 at lever r / sqrt 2, over 58.
-            // Band: the share of an edge pixel is stretched about 0.4 and cut off, by a variance of 0.021.
+            // Binary: an edge pixel counts or not, 2 pi r = 27 pixels of variance 1/12 at lever r / sqrt 2,
+            // over 58. Band: the share of an edge pixel is stretched about 0.4 and cut off, by a variance of
+            // 0.021.
             let most = match params.centre {
                 Centre::Binary => 0.13,
                 Centre::SoftThreshold => 0.065,
@@ -86,8 +87,8 @@ fn flood_reaches_the_border(mask: &[u8], (width, height): (usize, usize), start:
     reaches
 }
 
-/// A border that cuts a marker hides part of it: such markers are dropped, by the rule that no component may reach the
-/// outermost pixels. The oracle floods the detector's own mask from every pixel near the dot.
+/// A border that cuts a marker hides part of it: such markers are dropped, by the rule that no component may
+/// reach the outermost pixels. The oracle floods the detector's own mask from every pixel near the dot.
 #[test]
 fn row_30_markers_on_the_border_are_dropped_and_no_others() {
     const SIZE: (usize, usize) = (64, 48);
@@ -110,8 +111,8 @@ fn row_30_markers_on_the_border_are_dropped_and_no_others() {
                     .any(|start| flood_reaches_the_border(&mask, SIZE, start));
                 cut[side] += usize::from(touches);
                 let near = markers.centres_px.iter().filter(|c| c.distance(centre) < 1.0).count();
-                // Whose centre lies outside may not show at all; with it a radius and a pixel and a half inside, the dot
-                // is whole for certain.
+                // Whose centre lies outside may not show at all; with it a radius and a pixel and a half
+                // inside, the dot is whole for certain.
                 assert!(near == usize::from(!touches) || x < 0.0, "{centre} {params:?}");
                 assert!(x < 6.0 || near == 1, "{centre} {params:?}");
                 assert!(markers.centres_px.iter().any(|c| c.distance(inner) < 0.2));
@@ -122,8 +123,8 @@ fn row_30_markers_on_the_border_are_dropped_and_no_others() {
     assert!(cut.iter().all(|&times| times > 20), "the dots hardly touched a border: {cut:?}");
 }
 
-/// What the border cuts is listed apart, and the covariance says how far off its visible part is: across the border by no
-/// more than a standard deviation (a bound, for a straight cut), along it like any marker.
+/// What the border cuts is listed apart, and the covariance says how far off its visible part is: across the
+/// border by no more than a standard deviation (a bound, for a straight cut), along it like any marker.
 #[test]
 fn row_30_markers_cut_by_the_border_are_listed_with_what_is_known() {
     let inner = support::lattice(3, 3, 18.0, DVec2::new(50.1, 45.3), 0.0, 0.0);
@@ -213,7 +214,8 @@ fn row_34_the_past_of_the_scratch_changes_no_bit() {
     }
 }
 
-/// Light that falls off by half a level a pixel, and neighbours on one side only: the grey centre must not be drawn by either.
+/// Light that falls off by half a level a pixel, and neighbours on one side only: the grey centre must not be
+/// drawn by either.
 #[test]
 fn grey_centres_have_no_bias_at_the_lattice_edge_or_under_a_slope_of_light() {
     let truth = support::lattice(5, 5, 17.56, DVec2::new(80.0, 80.0), 0.0, 0.0);
@@ -229,8 +231,8 @@ fn grey_centres_have_no_bias_at_the_lattice_edge_or_under_a_slope_of_light() {
     }
 }
 
-/// Dots with 3.4 px of gel between them, which is the margin of 2 px and a pixel's diagonal: the box around one
-/// reaches into the other across, but the pixels that count do not.
+/// Dots with 3.4 px of gel between them, which is the margin of 2 px and a pixel's diagonal: the box around
+/// one reaches into the other across, but the pixels that count do not.
 #[test]
 fn grey_centres_ignore_what_belongs_to_a_neighbour() {
     let params = DetectParams { centre: Centre::Grey, ..DetectParams::default() };
@@ -316,8 +318,8 @@ fn row_30_an_image_of_nothing_but_stripes_is_refused_by_name() {
     assert_eq!(markers, detect(&params, &dots, width).unwrap());
 }
 
-/// Gel that is squeezed beside a dragged part brings two dots within a window of each other. Each has a component of its own, and
-/// a centre of its own: once both were given that of their middle, 4.4 px off.
+/// Gel that is squeezed beside a dragged part brings two dots within a window of each other. Each has a
+/// component of its own, and a centre of its own: once both were given that of their middle, 4.4 px off.
 #[test]
 fn two_markers_within_a_window_have_two_centres() {
     let params = Params::preset("fast").unwrap().detect;

@@ -15,8 +15,8 @@ fn rig(distortion: [f64; 5], layers: Option<Layers>) -> Rig {
     Rig { left: camera.clone(), right: camera, t_right_left, layers }
 }
 
-/// Centroid of the region within the traced outline, by Green's theorem. With the trapezoid rule on a smooth closed curve
-/// of 64 points nothing is left but round-off, some 1e-12 px.
+/// Centroid of the region within the traced outline, by Green's theorem. With the trapezoid rule on a smooth
+/// closed curve of 64 points nothing is left but round-off, some 1e-12 px.
 fn traced_centroid_px(view: &RigView<'_>, disc: &Disc) -> DVec2 {
     const POINTS: usize = 64;
     let middle = view.project(disc.centre_mm).unwrap();
@@ -59,11 +59,14 @@ fn discs() -> impl Strategy<Value = Disc> {
 }
 
 proptest! {
-    /// What is left is of the fourth order in the disc's radius over its depth, and, through layers, their lift's second
-    /// derivatives Q, below Σ d (n² - 1) / n³ / reach² = 2.9 mm / (21 mm)²: times the mean square r² / 4, the slope of 0.45 and
-    /// about f / z each for the lift itself and for the area, a tenth of f r² / z² with a factor of 1.5 to spare.
+    /// What is left is of the fourth order in the disc's radius over its depth, and, through layers, their
+    /// lift's second derivatives Q, below Σ d (n² - 1) / n³ / reach² = 2.9 mm / (21 mm)²: times the mean
+    /// square r² / 4, the slope of 0.45 and about f / z each for the lift itself and for the area, a tenth of
+    /// f r² / z² with a factor of 1.5 to spare.
     #[test]
-    fn it_is_the_centroid_of_the_traced_outline(disc in discs(), lens in any::<bool>(), layered in any::<bool>()) {
+    fn it_is_the_centroid_of_the_traced_outline(
+        disc in discs(), lens in any::<bool>(), layered in any::<bool>(),
+    ) {
         let distortion = if lens { [-0.2, 0.05, 2e-3, -1e-3, 0.01] } else { [0.0; 5] };
         let layers = layered.then(|| Layers {
             normal: DVec3::new(0.05, -0.03, 1.0).normalize(),

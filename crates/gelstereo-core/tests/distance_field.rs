@@ -57,7 +57,8 @@ proptest! {
         for p in points(seed, 5.0, 500) {
             let Some((middle, gradient)) = field.distance(p) else { continue };
             for axis in [DVec3::X, DVec3::Y, DVec3::Z] {
-                // Within a cell it is linear along every axis, so that this difference is exact but for rounding.
+                // Within a cell it is linear along every axis, so that this difference is exact but for
+                // rounding.
                 let h = 1e-6;
                 let Some((above, _)) = field.distance(p + axis * h) else { continue };
                 let Some((below, _)) = field.distance(p - axis * h) else { continue };
@@ -92,8 +93,9 @@ fn around_a_ball_the_error_is_what_its_radius_says() {
         let Some((distance, _)) = field.distance(p) else { continue };
         largest = largest.max((distance - solid.closest(p).distance_mm).abs());
     }
-    // h² / 8 for each of two curvatures; level sets inside have a radius of 4 at least. A facet with the circumradius
-    // ρ, at most half the diagonal of a square of a 40th of the cube's side, lies up to ρ² / 2R within the ball.
+    // h² / 8 for each of two curvatures; level sets inside have a radius of 4 at least. A facet with the
+    // circumradius ρ, at most half the diagonal of a square of a 40th of the cube's side, lies up to ρ² / 2R
+    // within the ball.
     let bound = field.cell_mm().powi(2) / 8.0 * 2.0 / (radius - 1.0);
     let flat = (radius / 20.0).powi(2) / 2.0 / (2.0 * radius);
     assert!(largest < bound + flat + step(&field) && largest > 0.5 * bound, "{largest} {bound} {flat}");
@@ -162,8 +164,8 @@ fn between_sheets_that_face_one_way_the_sign_jumps_and_the_error_is_bounded() {
         let sheets = solid((vertices, vec![[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]]));
         assert!(!sheets.is_closed());
         let field = Field::new(&sheets, 0.5, 1.0).unwrap();
-        // Of two nodes beside each other with different signs one is within half a cell of the surface, and a point
-        // within the diagonal from there.
+        // Of two nodes beside each other with different signs one is within half a cell of the surface, and a
+        // point within the diagonal from there.
         let bound = (0.5 + 3.0_f64.sqrt()) * 0.5 + 2.0 * step(&field);
         let mut largest = 0.0_f64;
         for p in points(2, 4.0, 4000) {
@@ -177,8 +179,8 @@ fn between_sheets_that_face_one_way_the_sign_jumps_and_the_error_is_bounded() {
 
 #[test]
 fn a_closed_surface_that_crosses_itself_is_bounded_too() {
-    // A block within a block that is closed and inside out: found by fuzzing, as only surfaces with holes were looked
-    // through.
+    // A block within a block that is closed and inside out: found by fuzzing, as only surfaces with holes
+    // were looked through.
     let (mut vertices, mut triangles) = block(DVec3::splat(-3.0), DVec3::splat(3.0), 2);
     let (inner, same_way) = block(DVec3::new(-2.0, -2.0, 0.0), DVec3::new(2.0, 2.0, 1.2), 2);
     let first = vertices.len() as u32;

@@ -43,12 +43,14 @@ fn a_constant_image_stays_constant() {
     }
 }
 
-/// Row 31 in the range of kernels that settings allow: sigma 0.8 to 38.6 px. An edge that runs through the middle of the image is
-/// smoothed across only, so that the differences of a row are the kernel: its mass and variance are those of the Gaussian's samples.
+/// Row 31 in the range of kernels that settings allow: sigma 0.8 to 38.6 px. An edge that runs through the
+/// middle of the image is smoothed across only, so that the differences of a row are the kernel: its mass and
+/// variance are those of the Gaussian's samples.
 ///
-/// Weights are rounded to 1 / 2^15, and the levels after either pass to 1 / 2^7: the share of a column is off by at most half of
-/// the first and, as a difference of two, twice half of the second over 255 levels from either pass; each counts by its squared
-/// distance. Of a kernel of 51 px the variance is then known to 1.3 %.
+/// Weights are rounded to 1 / 2^15, and the levels after either pass to 1 / 2^7: the share of a column is off
+/// by at most half of the first and, as a difference of two, twice half of the second over 255 levels from
+/// either pass; each counts by its squared distance. Of a kernel of 51 px the variance is then known to 1.3
+/// %.
 #[test]
 fn row_31_blur_has_the_mass_and_variance_of_its_gaussian() {
     for kernel_px in [11, 31, 51, 255] {
@@ -82,8 +84,8 @@ fn row_31_blur_has_the_mass_and_variance_of_its_gaussian() {
 proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Against the definition in floating point. Rounding: 1/2^15 a weight and side on 255 levels, half of 1/128 after
-    /// each pass.
+    /// Against the definition in floating point. Rounding: 1/2^15 a weight and side on 255 levels, half of
+    /// 1/128 after each pass.
     #[test]
     fn gaussian_is_the_sum_of_its_definition((image, width) in images(), radius in 5..30_usize) {
         let height = image.len() / width;
@@ -98,7 +100,8 @@ proptest! {
                 let mut sum = 0.0;
                 for dy in -side..=side {
                     for dx in -side..=side {
-                        let at = reflect101(y as isize + dy, height) * width + reflect101(x as isize + dx, width);
+                        let at =
+                            reflect101(y as isize + dy, height) * width + reflect101(x as isize + dx, width);
                         sum += sample(dy) * sample(dx) * f64::from(image[at]);
                     }
                 }
@@ -116,19 +119,26 @@ proptest! {
             dx.abs() <= half
         };
         let sweep = |from: &[u8], dilate: bool| -> Vec<u8> {
-            (0..from.len()).map(|n| {
-                let (x, y) = ((n % width) as isize, (n / width) as isize);
-                let mut hit = false;
-                for dy in -radius..=radius {
-                    for dx in -radius..=radius {
-                        let inside = (0..width as isize).contains(&(x + dx)) && (0..height as isize).contains(&(y + dy));
-                        if inside && in_kernel(dx, dy) {
-                            hit |= (from[((y + dy) * width as isize + x + dx) as usize] != 0) == dilate;
+            (0..from.len())
+                .map(|n| {
+                    let (x, y) = ((n % width) as isize, (n / width) as isize);
+                    let mut hit = false;
+                    for dy in -radius..=radius {
+                        for dx in -radius..=radius {
+                            let inside = (0..width as isize).contains(&(x + dx))
+                                && (0..height as isize).contains(&(y + dy));
+                            if inside && in_kernel(dx, dy) {
+                                hit |= (from[((y + dy) * width as isize + x + dx) as usize] != 0) == dilate;
+                            }
                         }
                     }
-                }
-                if hit == dilate { 255 } else { 0 }
-            }).collect()
+                    if hit == dilate {
+                        255
+                    } else {
+                        0
+                    }
+                })
+                .collect()
         };
         let expected = sweep(&sweep(&mask, true), false);
         let mut found = mask.clone();
@@ -203,5 +213,34 @@ fn the_widest_and_the_highest_image_have_one_component() {
         assert_eq!(u64::from(blob.area_px2), 2 * most);
         assert_eq!((blob.sum_x, blob.sum_y), sums);
         assert_eq!((blob.left, blob.top, blob.right, blob.bottom), (0, 0, last.0, last.1));
+    }
+}
+
+proptest! {
+    /// Four times the covariance of a component's pixels, each a square with a variance of its own of 1/12
+    /// px².
+    #[test]
+    fn spreads_are_those_of_the_pixels((mask, width) in masks()) {
+        let mut components = Components::default();
+        components.run(view(&mask, width));
+        for blob in components.blobs() {
+            let runs = || components.runs(blob);
+            let pixels =
+                runs().flat_map(|run| (run.start..run.end).map(|x| [f64::from(x), f64::from(run.y)]));
+            let (area, mean) = (f64::from(blob.area_px2), blob.mean_px().to_array());
+            let mut spread_px2 = [[1.0 / 3.0, 0.0], [0.0, 1.0 / 3.0]];
+            for pixel in pixels {
+                for (i, row) in spread_px2.iter_mut().enumerate() {
+                    for (j, entry) in row.iter_mut().enumerate() {
+                        *entry += 4.0 * (pixel[i] - mean[i]) * (pixel[j] - mean[j]) / area;
+                    }
+                }
+            }
+            let found = blob.spread_px2(runs());
+            for (found, expected) in found.iter().flatten().zip(spread_px2.iter().flatten()) {
+                // Round-off of squares of up to the mask's size.
+                prop_assert!((found - expected).abs() < 1e-9, "{found} {expected}");
+            }
+        }
     }
 }

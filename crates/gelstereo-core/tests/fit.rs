@@ -21,8 +21,8 @@ fn detect(params: &DetectParams, image: &[u8], width: usize) -> Markers {
     markers
 }
 
-/// An ellipse's blurred image: coverage by sampling, then a Gaussian, then slopes, noise and rounding. Independent of
-/// the fit's profile.
+/// An ellipse's blurred image: coverage by sampling, then a Gaussian, then slopes, noise and rounding.
+/// Independent of the fit's profile.
 #[derive(Clone, Copy, Debug)]
 struct Ellipse {
     centre: DVec2,
@@ -91,16 +91,16 @@ fn every_dot_of_a_lattice_is_fitted() {
         let markers = detect(&params(), &image, 640);
         let (rms, near) = errors(&markers.centres_px, &truth);
         assert_eq!((markers.centres_px.len(), near, markers.unfitted), (625, 625, 0));
-        // These edges have no blur but the pixels'; the closed form with 1.3 for curvature and slopes, and the 16 x 16
-        // samples of the picture.
+        // These edges have no blur but the pixels'; the closed form with 1.3 for curvature and slopes, and
+        // the 16 x 16 samples of the picture.
         let sigma = (noise * noise + 1.0 / 12.0_f64).sqrt() / 120.0 * (2.0 * 0.3 / (1.77 * 4.3_f64)).sqrt();
         let most = 1.5 * sigma * 2.0_f64.sqrt() + 0.012;
         assert!(rms <= most, "noise {noise}: {rms} above {most}");
     }
 }
 
-/// Normalised squared errors of n markers' centres are chi² with 2 n degrees of freedom when the covariance is right:
-/// their mean over 2 n is 1, with the standard deviation 1 / sqrt(n).
+/// Normalised squared errors of n markers' centres are chi² with 2 n degrees of freedom when the covariance
+/// is right: their mean over 2 n is 1, with the standard deviation 1 / sqrt(n).
 #[test]
 fn covariances_are_calibrated_in_white_noise() {
     let truth = paper_lattice();
@@ -124,16 +124,16 @@ fn covariances_are_calibrated_in_white_noise() {
             }
         }
         let nees = sum / (2.0 * count);
-        // 95 % of the means lie within 1.96 / sqrt(n); four settings, so 99 % each. The kernel's variance is 3 %
-        // uncertain.
+        // 95 % of the means lie within 1.96 / sqrt(n); four settings, so 99 % each. The kernel's variance is
+        // 3 % uncertain.
         let band = 2.6 / f64::sqrt(count) + 0.03;
         assert!((nees - 1.0).abs() < band, "noise {noise} contrast {contrast}: {nees}");
     }
 }
 
-/// The blur of an image is the same whatever its noise, though outlines follow the noise: they would take 0.024 px of
-/// it here, by (b - (b² - <u²>)^0.5) with <u²> = 5 σ² b / (sqrt(π) r C²). The mean of sixty images is known to a
-/// standard error of their own scatter, three of which must be less than that.
+/// The blur of an image is the same whatever its noise, though outlines follow the noise: they would take
+/// 0.024 px of it here, by (b - (b² - <u²>)^0.5) with <u²> = 5 σ² b / (sqrt(π) r C²). The mean of sixty
+/// images is known to a standard error of their own scatter, three of which must be less than that.
 #[test]
 fn strong_noise_takes_nothing_from_the_blur() {
     const IMAGES: usize = 60;
@@ -212,11 +212,15 @@ proptest! {
         let mut fit = DiscFit::new(&params());
         fit.learn(view(&image, SIZE), &vec![0; image.len()], &[]);
         let (found, expected) = (fit.noise(), sigma * sigma + 1.0 / 12.0);
-        // Medians over at least 48 rows of 180 differences: 1.25 sqrt(2 * 1.5 / (48 * 180)) = 2.3 % of the variance,
-        // five times.
-        prop_assert!((found.variance_levels2() / expected - 1.0).abs() < 5.0 * 0.023, "{found:?}, {expected}");
-        // By chance pixels 2 px apart differ 3 % less or more than those next to each other; the finest grain there is
-        // (x = 0.4 in `from_variogram`) is 1 / 0.37 times that. The slope itself would be up to 1.3 levels².
+        // Medians over at least 48 rows of 180 differences: 1.25 sqrt(2 * 1.5 / (48 * 180)) = 2.3 % of the
+        // variance, five times.
+        prop_assert!(
+            (found.variance_levels2() / expected - 1.0).abs() < 5.0 * 0.023,
+            "{found:?}, {expected}"
+        );
+        // By chance pixels 2 px apart differ 3 % less or more than those next to each other; the finest grain
+        // there is (x = 0.4 in `from_variogram`) is 1 / 0.37 times that. The slope itself would be up to 1.3
+        // levels².
         prop_assert!(found.grain_levels2 < 5.0 * 0.03 / 0.37 * expected, "{found:?}, {expected}");
     }
 }
@@ -247,7 +251,11 @@ proptest! {
         let gel: Vec<u8> = (0..SIDE * SIDE)
             .map(|n| {
                 let at = DVec2::new((n % SIDE) as f64, (n / SIDE) as f64);
-                if at.distance(centre) < radius + 1.0 { 255 } else { 0 }
+                if at.distance(centre) < radius + 1.0 {
+                    255
+                } else {
+                    0
+                }
             })
             .collect();
         fit.learn(view(&image, SIDE), &gel, &[start]);
@@ -255,14 +263,17 @@ proptest! {
         prop_assert!(fitted.is_some());
         let Some(fitted) = fitted else { return Ok(()) };
         let error = fitted.centre_px.distance(centre);
-        // Five standard deviations per coordinate, 1.5 for small and tilted dots, whose short axis weighs more, and the
-        // 8 x 8 samples of the picture with the profile's curvature.
+        // Five standard deviations per coordinate, 1.5 for small and tilted dots, whose short axis weighs
+        // more, and the 8 x 8 samples of the picture with the profile's curvature.
         let most = 5.0 * 1.5 * dot.sigma_px() + 0.03;
         prop_assert!(error < most, "{error} above {most}: {fitted:?}");
         let expected = mean;
         let [[xx, xy], [_, yy]] = fitted.spread_px2;
         let found = (xx * yy - xy * xy).sqrt();
-        prop_assert!((found / expected).sqrt() > 0.85 && (found / expected).sqrt() < 1.15, "{found} {expected}");
+        prop_assert!(
+            (found / expected).sqrt() > 0.85 && (found / expected).sqrt() < 1.15,
+            "{found} {expected}"
+        );
     }
 
     /// Any bytes and any start have an answer.

@@ -1,4 +1,5 @@
-//! The model fit of lattices of discs of which everything is known, most by one step with the usual marker's template.
+//! The model fit of lattices of discs of which everything is known, most by one step with the usual marker's
+//! template.
 
 use crate::support;
 
@@ -27,8 +28,8 @@ fn detect(params: &DetectParams, image: &[u8], width: usize) -> Markers {
     markers
 }
 
-/// Share of a disc's contrast at distances from its centre behind a Gaussian lens, every 0.02 px: chord by chord, of
-/// which a Gaussian sees the error function of its half length.
+/// Share of a disc's contrast at distances from its centre behind a Gaussian lens, every 0.02 px: chord by
+/// chord, of which a Gaussian sees the error function of its half length.
 fn profile(radius_px: f64, blur_px: f64) -> Vec<f64> {
     const CHORDS: usize = 400;
     let share = |distance: f64| {
@@ -44,7 +45,8 @@ fn profile(radius_px: f64, blur_px: f64) -> Vec<f64> {
     (0..700).map(|k| share(0.02 * f64::from(k))).collect()
 }
 
-/// Dots behind the lens, integrated over each pixel by 3 x 3 samples (Gauss), with white noise, in whole levels.
+/// Dots behind the lens, integrated over each pixel by 3 x 3 samples (Gauss), with white noise, in whole
+/// levels.
 fn photograph(dots: &Dots) -> Vec<u8> {
     photograph_behind(dots, BLUR_PX)
 }
@@ -77,8 +79,8 @@ fn photograph_behind(dots: &Dots, blur_px: f64) -> Vec<u8> {
     levels.iter().map(|level| (level + dots.noise * noise.normal() + 0.5) as u8).collect()
 }
 
-/// Standard deviation of one coordinate of a blurred circle's centre in white noise and rounding, by the closed form
-/// for a long edge: sigma / C sqrt(2 b / (sqrt(pi) r)).
+/// Standard deviation of one coordinate of a blurred circle's centre in white noise and rounding, by the
+/// closed form for a long edge: sigma / C sqrt(2 b / (sqrt(pi) r)).
 fn sigma_px(dots: &Dots) -> f64 {
     let noise = (dots.noise * dots.noise + 1.0 / 12.0).sqrt();
     let edge = 2.0 * ALL_BLUR_PX / (std::f64::consts::PI.sqrt() * dots.radius_px);
@@ -89,7 +91,8 @@ fn nearest_error(centre: DVec2, truth: &[DVec2]) -> DVec2 {
     truth.iter().map(|t| centre - *t).min_by(|a, b| a.length().total_cmp(&b.length())).unwrap()
 }
 
-/// What is left of a displacement, third order in it, is below 0.005 px per axis; rounding to levels adds its own.
+/// What is left of a displacement, third order in it, is below 0.005 px per axis; rounding to levels adds its
+/// own.
 #[test]
 fn every_dot_of_a_lattice_is_found_where_it_is() {
     let truth = paper_lattice();
@@ -106,8 +109,8 @@ fn every_dot_of_a_lattice_is_found_where_it_is() {
     }
 }
 
-/// Mean errors over 5 x 5 parts of a pixel, 40 dots each without noise: neither the places of the weights nor rounding
-/// pull them. Rounding's own error is 0.003 px, over 40 dots 0.0005 px.
+/// Mean errors over 5 x 5 parts of a pixel, 40 dots each without noise: neither the places of the weights nor
+/// rounding pull them. Rounding's own error is 0.003 px, over 40 dots 0.0005 px.
 #[test]
 fn where_in_a_pixel_a_dot_lies_does_not_matter() {
     let mut sums = vec![(DVec2::ZERO, 0.0); 25];
@@ -130,8 +133,8 @@ fn where_in_a_pixel_a_dot_lies_does_not_matter() {
     }
 }
 
-/// Normalised squared errors of n markers are 1 in the mean, with a standard deviation of 1 / sqrt(n); 99 %, and 3 %
-/// for the variance of the noise, which is measured.
+/// Normalised squared errors of n markers are 1 in the mean, with a standard deviation of 1 / sqrt(n); 99 %,
+/// and 3 % for the variance of the noise, which is measured.
 #[test]
 fn covariances_are_calibrated_in_white_noise() {
     let truth = paper_lattice();
@@ -152,8 +155,8 @@ fn covariances_are_calibrated_in_white_noise() {
     }
 }
 
-/// The step of the template has the same information as steps with each marker's own outline: no less precise by more
-/// than a tenth, and the two err alike.
+/// The step of the template has the same information as steps with each marker's own outline: no less precise
+/// by more than a tenth, and the two err alike.
 #[test]
 fn a_step_of_the_template_approximates_the_fit() {
     let truth = paper_lattice();
@@ -179,12 +182,13 @@ fn bright_markers_are_found_as_dark_ones_are() {
     let bright = DetectParams { polarity: Polarity::Bright, ..params(Centre::Fit) };
     let bright = detect(&bright, &negative, 640);
     let (apart, near) = errors(&bright.centres_px, &dark.centres_px);
-    // Only the slope that light should have on the dot differs, and with it the weights: less than the error itself.
+    // Only the slope that light should have on the dot differs, and with it the weights: less than the error
+    // itself.
     assert!(near == 625 && bright.unfitted == 0 && apart < sigma_px(&dots) * 2.0_f64.sqrt(), "{apart}");
 }
 
-/// Neighbours that stand nearer than others do, from 12 px on, which is 3.4 px of gel: only the rim of the support
-/// sees their blurred edge, and pulls by less than the grey centroid of such dots is wrong (0.04 px).
+/// Neighbours that stand nearer than others do, from 12 px on, which is 3.4 px of gel: only the rim of the
+/// support sees their blurred edge, and pulls by less than the grey centroid of such dots is wrong (0.04 px).
 #[test]
 fn near_neighbours_do_not_pull() {
     for (gap_px, most_px) in [(12.0, 0.04), (13.0, 0.02), (14.0, 0.012), (10.0, 0.12)] {

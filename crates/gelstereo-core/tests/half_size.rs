@@ -28,21 +28,23 @@ fn both(image: &[u8], width: usize) -> (Markers, Markers, FindAt) {
     (half, search(&params(FindAt::FullSize), image, width).0, found_at)
 }
 
-/// Farthest that two centres of one marker may lie apart. Both weigh the same pixels, but their windows may lie a pixel apart, so
-/// that other corners tell the gel's slope: to noise / 20 a pixel, where a corner has 4 pixels and the next is 10 px away. Over an
-/// edge of 2 px that shifts the centre by a tenth of the slope over half the contrast's share of 120 levels: 0.005 px a level of
-/// noise, 0.007 px between two. A largest of some hundred is 3.5 times that; rounding to whole levels adds as much as a level of
-/// noise.
+/// Farthest that two centres of one marker may lie apart. Both weigh the same pixels, but their windows may
+/// lie a pixel apart, so that other corners tell the gel's slope: to noise / 20 a pixel, where a corner has 4
+/// pixels and the next is 10 px away. Over an edge of 2 px that shifts the centre by a tenth of the slope
+/// over half the contrast's share of 120 levels: 0.005 px a level of noise, 0.007 px between two. A largest
+/// of some hundred is 3.5 times that; rounding to whole levels adds as much as a level of noise.
 fn most_apart_px(noise: f64, contrast: f64) -> f64 {
     3.5 * 0.007 * (noise + 1.0) * 120.0 / contrast
 }
 
-/// Farthest apart where the corners of windows reach other markers, which must not be taken for it: a window of one centre may
-/// have them on one side, that of the other, a pixel away, on the other side, so this is twice what one does. That is the larger
-/// of two, which pull to opposite sides. The gel's plane tilts: by 0.35 of the contrast at most from corners to corners. The
-/// share of an edge that is followed, half the contrast, is as wide as half a pixel's diagonal, and its weights change over half
-/// the contrast: over a ring of radius r that moves the centre by 2 * 0.35 r / 2^0.5 over the corners' distance. And what reaches
-/// into the window weighs itself: at most one pixel in its outermost line, at half its side, over the marker's area.
+/// Farthest apart where the corners of windows reach other markers, which must not be taken for it: a window
+/// of one centre may have them on one side, that of the other, a pixel away, on the other side, so this is
+/// twice what one does. That is the larger of two, which pull to opposite sides. The gel's plane tilts: by
+/// 0.35 of the contrast at most from corners to corners. The share of an edge that is followed, half the
+/// contrast, is as wide as half a pixel's diagonal, and its weights change over half the contrast: over a
+/// ring of radius r that moves the centre by 2 * 0.35 r / 2^0.5 over the corners' distance. And what reaches
+/// into the window weighs itself: at most one pixel in its outermost line, at half its side, over the
+/// marker's area.
 fn most_apart_beside_others_px(markers: &Markers) -> f64 {
     let count = markers.area_px2.len().max(1) as f64;
     let area_px2 = markers.area_px2.iter().map(|&area| f64::from(area)).sum::<f64>() / count;
@@ -85,7 +87,8 @@ fn clear_markers_are_found_at_half_size() {
     agree(&found, &half, most_apart_px(2.0, 120.0)).unwrap();
 }
 
-/// The mask of an image searched at half size is that of its own, but for edges: a pixel of half the size to each side.
+/// The mask of an image searched at half size is that of its own, but for edges: a pixel of half the size to
+/// each side.
 #[test]
 fn the_mask_has_the_image_s_size() {
     let image = dots(9, 17.6, (201, 187)).render();
@@ -140,8 +143,8 @@ fn images_that_half_the_size_may_not_show_are_searched_at_their_own() {
     assert_eq!(search(&params, &clear.render(), 200).1, FindAt::FullSize);
 }
 
-/// Of markers of very different sizes either may be the usual one; what is a speck beside the largest only, or is only as
-/// large as a pixel's rounding makes it, is searched at full size.
+/// Of markers of very different sizes either may be the usual one; what is a speck beside the largest only,
+/// or is only as large as a pixel's rounding makes it, is searched at full size.
 #[test]
 fn specks_are_specks_beside_any_of_the_markers() {
     let images = [
@@ -163,8 +166,8 @@ fn specks_are_specks_beside_any_of_the_markers() {
     }
 }
 
-/// A disc that covers a pixel less than the others of its size is still a marker: what is a speck beside one that has them all is
-/// searched at full size.
+/// A disc that covers a pixel less than the others of its size is still a marker: what is a speck beside one
+/// that has them all is searched at full size.
 #[test]
 fn specks_are_specks_beside_a_marker_that_lacks_a_pixel() {
     let places = [
@@ -176,8 +179,8 @@ fn specks_are_specks_beside_a_marker_that_lacks_a_pixel() {
     agree(&half, &full, most_apart_px(2.0, 120.0) + most_apart_beside_others_px(&half)).unwrap();
 }
 
-/// A scratch a row high is gone at half the size. At its own it joins a marker, which is then none by its shape: half the
-/// size shows one that the other hides.
+/// A scratch a row high is gone at half the size. At its own it joins a marker, which is then none by its
+/// shape: half the size shows one that the other hides.
 #[test]
 fn a_scratch_that_hides_a_marker_at_full_size_hides_none_at_half() {
     let places = [
@@ -193,12 +196,12 @@ fn a_scratch_that_hides_a_marker_at_full_size_hides_none_at_half() {
     agree_on_clear_dots((&half, &full), &places, Some(scratch), most_px).unwrap();
 }
 
-/// At half the size two dots are told apart if a pixel of gel lies between them, blurred by its neighbours on both sides: two
-/// pixels of gel, four of full size.
+/// Smallest gap between two dots that are found as two at half the size. One clear pixel of gel must lie
+/// between them. Its neighbours blur it from both sides, so two pixels are needed: four of full size.
 const GAP_PX: f64 = 4.0;
 
-/// Radii of one print differ by less. Among few dots whose areas differ by more than two times either size may have the smaller one
-/// for a speck.
+/// Radii of one print differ by less. Among few dots whose areas differ by more than two times either size
+/// may have the smaller one for a speck.
 const ALIKE: f64 = 0.7;
 
 /// Whether a dot (x, y, radius) lies clear of another.
@@ -212,9 +215,9 @@ fn is_off(dot: &(f64, f64, f64), scratch: (usize, usize, usize)) -> bool {
     (dot.0 - dot.0.clamp(x, x + length)).hypot(dot.1 - y) >= dot.2 + GAP_PX
 }
 
-/// Dots (x, y, radius) of a size with the widest that lie clear of all else and are found at full size are found at
-/// half, and what is found at half only lies on a dot: what touches another, or a scratch, may be one marker at one size, and two
-/// or none at the other.
+/// Dots (x, y, radius) of a size with the widest that lie clear of all else and are found at full size are
+/// found at half, and what is found at half only lies on a dot: what touches another, or a scratch, may be
+/// one marker at one size, and two or none at the other.
 fn agree_on_clear_dots(
     (half, full): (&Markers, &Markers),
     places: &[(f64, f64, f64)],
@@ -262,7 +265,8 @@ fn disorder(places: &[(f64, f64, f64)], scratch: Option<(usize, usize, usize)>, 
 proptest! {
     #![proptest_config(ProptestConfig { cases: 64, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Whatever the lattice, the light and the noise, both find the same markers; those found at full size have its bits.
+    /// Whatever the lattice, the light and the noise, both find the same markers; those found at full size
+    /// have its bits.
     #[test]
     fn the_same_markers_are_found_at_both_sizes(
         (pitch_px, share) in (9.0..26.0_f64, 0.17..0.3_f64),

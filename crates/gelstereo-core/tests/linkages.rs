@@ -1,4 +1,5 @@
-//! Pads of four-bar grippers against a numeric solution of their linkages, from joints that published models give.
+//! Pads of four-bar grippers against a numeric solution of their linkages, from joints that published models
+//! give.
 
 #![allow(clippy::unwrap_used)]
 
@@ -20,7 +21,8 @@ struct FourBar {
     pad_mm: Plane,
 }
 
-/// Outer and inner pivot, crank, pad: joints of the ROS-Industrial models of Robotiq's grippers and of OnRobot's own models.
+/// Outer and inner pivot, crank, pad: joints of the ROS-Industrial models of Robotiq's grippers and of
+/// OnRobot's own models.
 fn grippers() -> [FourBar; 4] {
     let four_bar = |name, kinematics, outer_pivot_mm, inner_pivot_mm, crank_mm, pad_mm| FourBar {
         name,
@@ -56,8 +58,8 @@ fn turned(v: Plane, angle: f64) -> Plane {
 }
 
 impl FourBar {
-    /// The pad with the outer crank turned by `angle`: Newton's method closes the loop over the coupler and the inner
-    /// crank, from a start that is off.
+    /// The pad with the outer crank turned by `angle`: Newton's method closes the loop over the coupler and
+    /// the inner crank, from a start that is off.
     fn pad(&self, angle: f64) -> (Plane, f64) {
         let coupler = minus(
             plus(self.inner_pivot_mm, self.inner_crank_mm),

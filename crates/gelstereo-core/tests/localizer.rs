@@ -1,5 +1,5 @@
-//! Localization from frame to frame, in simulated sequences (noise 0.03 mm along z, gel shoulder): a part that is followed,
-//! let go, lost, exchanged and grasped again.
+//! Localization from frame to frame, in simulated sequences (noise 0.03 mm along z, gel shoulder): a part
+//! that is followed, let go, lost, exchanged and grasped again.
 // A test may stop at what it did not expect.
 #![allow(clippy::unwrap_used)]
 
@@ -24,8 +24,8 @@ fn sensed(part: &Part, t_sensor_object: Pose, random: &mut Stream) -> Problem {
     sense(&Gel::press(part, &t_sensor_object), t_sensor_object, random)
 }
 
-/// Frames, and of them wrong ones and such that were not followed, of three parts that slide and turn by 0.07 mm and 0.3
-/// degrees a frame.
+/// Frames, and of them wrong ones and such that were not followed, of three parts that slide and turn by 0.07
+/// mm and 0.3 degrees a frame.
 fn follow_moving(method: RegisterMethod, seed: u64) -> [usize; 3] {
     let [mut frames, mut wrong, mut searched] = [0; 3];
     for name in ["square peg", "irregular peg", "key"] {
@@ -87,8 +87,8 @@ fn a_part_that_jumps_is_lost_and_found_again() {
             noticed += usize::from(located.tracking != TrackingStatus::Tracking);
         }
     }
-    // Of 120 such jumps 11 were believed where they were not, and 105 found again; of 48 more than 10 are with a probability
-    // of 4e-3, and fewer than 35 with one of 2e-3.
+    // Of 120 such jumps 11 were believed where they were not, and 105 found again; of 48 more than 10 are
+    // with a probability of 4e-3, and fewer than 35 with one of 2e-3.
     assert!(count >= 44 && wrong <= 10, "{wrong} of {count} believed wrongly");
     assert!(48 * recovered >= 35 * count, "{recovered} found again of {noticed} noticed, of {count}");
 }
@@ -173,8 +173,9 @@ fn row_10_what_is_free_does_not_wander() {
             assert_eq!(located.registration.free.len(), 2);
             let start = *first.get_or_insert(found);
             let (turn, _) = (start.inverse() * found).log();
-            // Across the peg its axis, 4 mm below points on a radius of 2.5 mm, is known to 0.03 / √50 mm; the motion
-            // nearest to a shift turns by 4 / (4² + 2.5²) of it. Four standard deviations, and none more as frames go by.
+            // Across the peg its axis, 4 mm below points on a radius of 2.5 mm, is known to 0.03 / √50 mm;
+            // the motion nearest to a shift turns by 4 / (4² + 2.5²) of it. Four standard deviations, and
+            // none more as frames go by.
             assert!(turn.z.abs() < 4.0 * 0.0008, "{method:?}: spun by {} rad", turn.z);
             let slid_mm = (found.translation_mm - start.translation_mm).x.abs();
             // The peg's origin is 15 mm away from the patch, so tilts move it to second order, too.

@@ -1,5 +1,5 @@
-//! A part that is turned while nothing touches it is noticed by what the gel does, and a part that is still is not
-//! doubted (simulated, noise 0.03 mm along z; gel of decay lengths above the markers' pitch).
+//! A part that is turned while nothing touches it is noticed by what the gel does, and a part that is still
+//! is not doubted (simulated, noise 0.03 mm along z; gel of decay lengths above the markers' pitch).
 // A test may stop at what it did not expect.
 #![allow(clippy::unwrap_used)]
 
@@ -61,8 +61,8 @@ fn frames() -> usize {
     std::env::var("FRAMES").map_or(60, |count| count.parse().unwrap())
 }
 
-/// End for end across the gel, pressed as deep: another outline lies where the part was. Half a roll of a part whose
-/// sides are alike shows nothing, and is not asked for.
+/// End for end across the gel, pressed as deep: another outline lies where the part was. Half a roll of a
+/// part whose sides are alike shows nothing, and is not asked for.
 #[test]
 fn a_part_that_was_turned_end_for_end_untouched_is_not_believed_where_it_was() {
     let (mut count, mut wrong) = (0, 0);
@@ -87,7 +87,8 @@ fn a_part_that_was_turned_end_for_end_untouched_is_not_believed_where_it_was() {
         }
     }
     println!("{wrong} of {count} believed wrongly");
-    // At most a tenth are, whose ends look the same in the gel: of 40 more than 11 with a probability of 4e-4.
+    // At most a tenth are, whose ends look the same in the gel: of 40 more than 11 with a probability of
+    // 4e-4.
     assert!(count >= 36 && wrong <= 11, "{wrong} of {count}");
 }
 

@@ -1,5 +1,5 @@
-//! A localizer over many frames: the same bits in two runs, no byte more, and no less right at the end (simulated,
-//! noise 0.03 mm along z).
+//! A localizer over many frames: the same bits in two runs, no byte more, and no less right at the end
+//! (simulated, noise 0.03 mm along z).
 // A test may stop at what it did not expect, and print its counts.
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
@@ -22,8 +22,8 @@ const ROUND: usize = 100;
 /// In this one another part is pressed.
 const OTHER: usize = 70;
 
-/// What is sensed on a round: the part goes in a circle, turns to and fro and slips at times; twice nothing touches, and
-/// once another part does.
+/// What is sensed on a round: the part goes in a circle, turns to and fro and slips at times; twice nothing
+/// touches, and once another part does.
 fn round(seed: u64) -> (Vec<Option<Problem>>, Template, Pose) {
     let ((part, template), (other, _)) = (part("irregular peg"), part("key"));
     let mut random = Stream::new(seed, "round");
@@ -100,8 +100,8 @@ fn row_35_a_localizer_gives_the_same_bits_twice_and_takes_no_byte_more_over_thou
     let before = ALLOCATIONS.get();
     let (first, grown) = follow(&mut localizer, &frames, &template, rounds);
     assert!(ALLOCATIONS.get() > before, "the counter counts");
-    // Each of its two rungs makes room when it is first asked, and when it first sees more markers than then; that may be
-    // rounds later.
+    // Each of its two rungs makes room when it is first asked, and when it first sees more markers than then;
+    // that may be rounds later.
     assert!(grown <= 2 * 2, "{grown} frames took more room");
     // Told to expect the part it is as new, with the room that it has.
     localizer.expect(&start);
@@ -113,9 +113,9 @@ fn row_35_a_localizer_gives_the_same_bits_twice_and_takes_no_byte_more_over_thou
     println!(
         "{rounds} rounds: {believed} believed, {wrong} of them wrong; another part taken for it {taken} times"
     );
-    // What is usual does not creep up from frame to frame until another part is: where it was learned from the frames that
-    // were doubted, the other one was taken 82 times in 100 rounds. It stands near the limit: with other steps of the search 0
-    // to 9 of 100 have been seen.
+    // What is usual does not creep up from frame to frame until another part is: where it was learned from
+    // the frames that were doubted, the other one was taken 82 times in 100 rounds. It stands near the limit:
+    // with other steps of the search 0 to 9 of 100 have been seen.
     assert!(4 * taken <= rounds, "{taken} of {rounds}");
     assert!(10 * wrong <= believed && believed >= 95 * rounds, "{wrong} of {believed}");
 }
@@ -125,7 +125,8 @@ fn ways() -> u64 {
     std::env::var("GELSTEREO_WAYS").map_or(6, |count| count.parse().unwrap())
 }
 
-/// What the markers beside the contact tell keeps a way from going astray where the soft shoulder looks like a face.
+/// What the markers beside the contact tell keeps a way from going astray where the soft shoulder looks like
+/// a face.
 #[test]
 #[ignore = "takes a minute: make test-long"]
 fn the_gel_keeps_more_frames_right_than_the_distance_from_the_part_does() {

@@ -6,7 +6,8 @@ use gelstereo_core::math::{DVec2, DVec3};
 use gelstereo_core::surface::{MarkerMesh, MarkerMeshError};
 use support::lattice;
 
-/// Every cell of an exact lattice is cocircular: Euler's formula gives 2 (25 - 1)² triangles however they are cut.
+/// Every cell of an exact lattice is cocircular: Euler's formula gives 2 (25 - 1)² triangles however they are
+/// cut.
 #[test]
 fn row_13_an_exact_lattice_has_1152_triangles() {
     for (centre, turn_deg) in [(DVec2::ZERO, 0.0), (DVec2::new(320.0, 240.0), 0.0), (DVec2::splat(1e6), 0.0)]

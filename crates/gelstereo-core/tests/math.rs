@@ -1,6 +1,7 @@
 //! Rotations, motions, eigenvectors and random numbers at the places where they lose digits.
 //!
-//! Constants come from mpmath with 50 digits, rounded once; `tests/test_hard_cases_math.py` compares at random places.
+//! Constants come from mpmath with 50 digits, rounded once; `tests/test_hard_cases_math.py` compares at
+//! random places.
 // A test may stop at what it did not expect, and print its table.
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
@@ -60,8 +61,8 @@ proptest! {
     #[test]
     fn row_02_log_undoes_exp_to_a_few_ulp_at_every_scale(omega in small_vector()) {
         let back = so3::log(so3::exp(omega));
-        // sin, quotient, two products, atan2 and a quotient: below ten roundings of half an ulp each. The last term
-        // is a denormal's own step.
+        // sin, quotient, two products, atan2 and a quotient: below ten roundings of half an ulp each. The
+        // last term is a denormal's own step.
         let bound = 5.0 * EPS * omega.length() + 1e-322;
         prop_assert!((back - omega).abs().max_element() <= bound, "{omega} {back}");
     }
@@ -69,7 +70,8 @@ proptest! {
     #[test]
     fn row_03_jacobian_times_inverse_is_identity(omega in vector(3.6)) {
         let product = so3::left_jacobian(omega) * so3::left_jacobian_inverse(omega);
-        let error = (product - DMat3::IDENTITY).to_cols_array().into_iter().fold(0.0_f64, |m, e| m.max(e.abs()));
+        let error =
+            (product - DMat3::IDENTITY).to_cols_array().into_iter().fold(0.0_f64, |m, e| m.max(e.abs()));
         // Both grow as θ / 2 / sin(θ/2), their condition, towards 2π; below 6.3 that stays under 200.
         let half = 0.5 * omega.length();
         let condition = (half / half.sin()).abs().max(1.0);
@@ -77,7 +79,9 @@ proptest! {
     }
 
     #[test]
-    fn row_04_a_quaternion_and_its_opposite_are_one(v in vector(1.0), w in -1.0..1.0_f64, power in -140.0..140.0_f64) {
+    fn row_04_a_quaternion_and_its_opposite_are_one(
+        v in vector(1.0), w in -1.0..1.0_f64, power in -140.0..140.0_f64,
+    ) {
         let q = DQuat::from_xyzw(v.x, v.y, v.z, w) * 10.0_f64.powf(power);
         let (a, b) = (so3::canonical(q).unwrap(), so3::canonical(-q).unwrap());
         prop_assert_eq!(a, b);
@@ -105,16 +109,22 @@ proptest! {
     }
 
     #[test]
-    fn eigenvectors_rebuild_the_matrix(entries in prop::array::uniform21(-1.0..1.0_f64), powers in prop::array::uniform6(-6.0..6.0_f64)) {
+    fn eigenvectors_rebuild_the_matrix(
+        entries in prop::array::uniform21(-1.0..1.0_f64), powers in prop::array::uniform6(-6.0..6.0_f64),
+    ) {
         let scale = powers.map(|p| 10.0_f64.powf(p));
-        let at = |i: usize, j: usize| { let (i, j) = (i.min(j), i.max(j)); entries[i * (11 - i) / 2 + j] * scale[i] * scale[j] };
+        let at = |i: usize, j: usize| {
+            let (i, j) = (i.min(j), i.max(j));
+            entries[i * (11 - i) / 2 + j] * scale[i] * scale[j]
+        };
         let matrix: Symmetric<6> = std::array::from_fn(|i| std::array::from_fn(|j| at(i, j)));
         let found = eigen(&matrix);
         prop_assert!(found.values.is_sorted());
         let largest = found.values.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
         for i in 0..6 {
             for j in 0..6 {
-                let rebuilt: f64 = (0..6).map(|k| found.values[k] * found.vectors[k][i] * found.vectors[k][j]).sum();
+                let rebuilt: f64 =
+                    (0..6).map(|k| found.values[k] * found.vectors[k][i] * found.vectors[k][j]).sum();
                 // Six sweeps of fifteen rotations, each a few roundings of the largest entry.
                 prop_assert!((rebuilt - matrix[i][j]).abs() <= 200.0 * EPS * largest);
                 let dot: f64 = (0..6).map(|k| found.vectors[i][k] * found.vectors[j][k]).sum();
@@ -125,7 +135,8 @@ proptest! {
 
     #[test]
     fn eigen_always_returns_whatever_it_is_given(entries in prop::array::uniform16(any::<f64>())) {
-        let matrix: Symmetric<4> = std::array::from_fn(|i| std::array::from_fn(|j| entries[4 * i.min(j) + i.max(j)]));
+        let matrix: Symmetric<4> =
+            std::array::from_fn(|i| std::array::from_fn(|j| entries[4 * i.min(j) + i.max(j)]));
         let _ = eigen(&matrix);
     }
 }
@@ -140,9 +151,9 @@ fn row_04_a_matrix_gives_its_quaternion_back_at_every_angle() {
         for &angle in &angles {
             let q = so3::canonical(so3::exp(axis * angle)).unwrap();
             let back = so3::from_matrix(&DMat3::from_quat(q)).unwrap();
-            // Entries of the matrix are good to 3 U; the largest of the four numbers is at least 1/2, so that the
-            // others, sums of two entries over four times it, are good to 6 U, three of them to 10 U together. Both
-            // lengths add 2 U.
+            // Entries of the matrix are good to 3 U; the largest of the four numbers is at least 1/2, so that
+            // the others, sums of two entries over four times it, are good to 6 U, three of them to 10 U
+            // together. Both lengths add 2 U.
             let apart = (back - q).length().min((back + q).length());
             assert!(apart <= 7.0 * EPS, "{axis} {angle}: {apart:e}");
         }

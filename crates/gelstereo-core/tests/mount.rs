@@ -17,9 +17,12 @@ fn parallelogram() -> impl Strategy<Value = FingerKinematics> {
 }
 
 proptest! {
-    /// Fingers that are valid have a pad at every width of their range, and it advances steadily while they close.
+    /// Fingers that are valid have a pad at every width of their range, and it advances steadily while they
+    /// close.
     #[test]
-    fn valid_fingers_have_a_pad_at_every_width(kinematics in parallelogram(), shares in prop::array::uniform2(0.0..=1.0_f64)) {
+    fn valid_fingers_have_a_pad_at_every_width(
+        kinematics in parallelogram(), shares in prop::array::uniform2(0.0..=1.0_f64),
+    ) {
         prop_assume!(kinematics.validate().is_ok());
         let (min_mm, max_mm) = kinematics.width_range_mm();
         prop_assert!(max_mm > min_mm);

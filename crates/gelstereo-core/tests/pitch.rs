@@ -26,7 +26,9 @@ proptest! {
     }
 
     #[test]
-    fn a_rig_or_setting_two_per_cent_off_is_named(scale in prop_oneof![0.5..0.98_f64, 1.02..2.0], noise in noise(0.01)) {
+    fn a_rig_or_setting_two_per_cent_off_is_named(
+        scale in prop_oneof![0.5..0.98_f64, 1.02..2.0], noise in noise(0.01),
+    ) {
         let check = PitchCheck::new(&print(scale * 0.9, &noise), SIDE, 0.9).unwrap();
         prop_assert!(check.is_off());
         let text = check.to_string();

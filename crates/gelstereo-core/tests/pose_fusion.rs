@@ -230,12 +230,14 @@ proptest! {
         let turn = a.pose.transform_point(contact.point_mm).cross(contact.normal);
         let row: Vec<f64> = turn.to_array().into_iter().chain(contact.normal.to_array()).collect();
         let covariance = inverse(&a.information);
-        let known: f64 = (0..6).map(|i| (0..6).map(|j| row[i] * covariance[i][j] * row[j]).sum::<f64>()).sum();
+        let known: f64 =
+            (0..6).map(|i| (0..6).map(|j| row[i] * covariance[i][j] * row[j]).sum::<f64>()).sum();
         let sum = known + contact.sigma_mm * contact.sigma_mm;
         let expected = distance_mm * distance_mm / sum;
         // The turns are below 1e-3 rad: what is not linear is a thousandth.
         prop_assert!((found.squared_distance - expected).abs() < 1e-2 * expected + 1e-12);
-        let left = contact.normal.dot(found.estimate.pose.transform_point(contact.point_mm)) - contact.offset_mm;
+        let left =
+            contact.normal.dot(found.estimate.pose.transform_point(contact.point_mm)) - contact.offset_mm;
         let weighed = distance_mm * contact.sigma_mm * contact.sigma_mm / sum;
         prop_assert!((left - weighed).abs() < 1e-2 * distance_mm.abs() + 1e-9, "{left} against {weighed}");
     }
@@ -245,7 +247,8 @@ proptest! {
     fn a_plane_moves_a_free_part_along_its_normal_alone(
         pose in pose(3.0, 50.0), contact in plane(), distance_mm in -2.0..2.0f64,
     ) {
-        let turns = core::array::from_fn(|i| core::array::from_fn(|j| if i == j && i < 3 { 1e8 } else { 0.0 }));
+        let turns =
+            core::array::from_fn(|i| core::array::from_fn(|j| if i == j && i < 3 { 1e8 } else { 0.0 }));
         let centre = pose.transform_point(contact.point_mm);
         let about = PoseEstimate { pose: Pose::from_translation_mm(-centre) * pose, information: turns };
         let known = about.in_frame(&Pose::from_translation_mm(centre));

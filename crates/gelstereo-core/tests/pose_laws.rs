@@ -1,10 +1,10 @@
 //! Laws of motions at 4 ulp: product, inverse and adjoint against arithmetic with twice the digits.
 //!
-//! An ulp of a quaternion is that of 1, and of a translation the rounding unit times the lengths of the vectors that go into
-//! it: a vector that is turned is off by as much whichever way it points, by 3.6 at most in three million random ones, which
-//! is up to 5.2 ulp of its largest entry. `tests/test_laws.py` holds exponential, logarithm and Jacobians against mpmath. The
-//! reference rotates with the quaternion that it is given, q v q*: that its
-//! length is an ulp off 1 is the quaternion's own error.
+//! An ulp of a quaternion is that of 1, and of a translation the rounding unit times the lengths of the
+//! vectors that go into it: a vector that is turned is off by as much whichever way it points, by 3.6 at most
+//! in three million random ones, which is up to 5.2 ulp of its largest entry. `tests/test_laws.py` holds
+//! exponential, logarithm and Jacobians against mpmath. The reference rotates with the quaternion that it is
+//! given, q v q*: that its length is an ulp off 1 is the quaternion's own error.
 
 use gelstereo_core::math::{DQuat, DVec3, Pose};
 use proptest::prelude::*;
@@ -143,14 +143,16 @@ proptest! {
 
     /// T exp(ω, v) T⁻¹ = exp(R ω, R v + t × R ω): the adjoint, by which twists change their frame.
     #[test]
-    fn a_twist_moves_with_the_adjoint(t in motion(), axis in vector(1.0), angle in 1e-9..PI, v in vector(1e3)) {
+    fn a_twist_moves_with_the_adjoint(
+        t in motion(), axis in vector(1.0), angle in 1e-9..PI, v in vector(1e3),
+    ) {
         let omega = axis * (angle / axis.length().max(1e-3));
         prop_assume!(omega.length() <= PI);
         let here = t * Pose::exp(omega, v) * t.inverse();
         let turned = t.transform_vector(omega);
         let there = Pose::exp(turned, t.transform_vector(v) + t.translation_mm.cross(turned));
-        // Left: an exponential, an inverse and two products; right: two rotations, a sum, an exponential, and its turn's
-        // error of 4 ulp of π, by which V v moves by half as much.
+        // Left: an exponential, an inverse and two products; right: two rotations, a sum, an exponential, and
+        // its turn's error of 4 ulp of π, by which V v moves by half as much.
         let size_mm = 2.0 * v.length() + (1.0 + PI) * t.translation_mm.length();
         prop_assert!(apart(&here, &there, size_mm) <= 9.0 * MAX_ULP, "{here:?} {there:?}");
     }

@@ -1,4 +1,5 @@
-//! Light through flat layers against Snell's law in its vector form, and the limits in which the answer is known.
+//! Light through flat layers against Snell's law in its vector form, and the limits in which the answer is
+//! known.
 #![allow(clippy::unwrap_used)]
 
 use gelstereo_core::camera::{Camera, CameraError, Layer, Layers, Ray};
@@ -38,7 +39,8 @@ fn plain(layers: Option<Layers>) -> Rig {
     Rig { layers, ..Rig::parallel(Camera { distortion: [0.0; 5], ..camera() }, 10.0) }
 }
 
-/// Snell's law for unit vectors: the part along the interface is scaled by n1 / n2. `None` is total reflection.
+/// Snell's law for unit vectors: the part along the interface is scaled by n1 / n2. `None` is total
+/// reflection.
 fn snell(direction: DVec3, normal: DVec3, n1: f64, n2: f64) -> Option<DVec3> {
     let along = (direction - normal * normal.dot(direction)) * (n1 / n2);
     let ahead2 = 1.0 - along.length_squared();
@@ -83,15 +85,24 @@ proptest! {
             let in_air = if centre == DVec3::ZERO { in_air } else { from_right.transform_vector(in_air) };
             let expected = follow(centre, in_air, &layers);
             let found = view.ray(DVec2::new(x, y)).unwrap();
-            // Some 30 roundings, each of an ulp of 60 mm at most; slopes up to 1.2 gain (1 + 1.2²) on the interfaces.
-            prop_assert!((found.origin_mm - expected.origin_mm).length() < 200.0 * EPS * 60.0, "{found:?} {expected:?}");
-            prop_assert!((found.direction - expected.direction).length() < 50.0 * EPS, "{found:?} {expected:?}");
+            // Some 30 roundings, each of an ulp of 60 mm at most; slopes up to 1.2 gain (1 + 1.2²) on the
+            // interfaces.
+            prop_assert!(
+                (found.origin_mm - expected.origin_mm).length() < 200.0 * EPS * 60.0,
+                "{found:?} {expected:?}"
+            );
+            prop_assert!(
+                (found.direction - expected.direction).length() < 50.0 * EPS,
+                "{found:?} {expected:?}"
+            );
         }
     }
 
     /// A point on a pixel's ray is seen at that pixel.
     #[test]
-    fn projection_inverts_the_ray(layers in stacks(), x in 0.0..639.0_f64, y in 0.0..479.0_f64, along in 0.0..20.0_f64) {
+    fn projection_inverts_the_ray(
+        layers in stacks(), x in 0.0..639.0_f64, y in 0.0..479.0_f64, along in 0.0..20.0_f64,
+    ) {
         let rig = rig(Some(layers));
         prop_assume!(rig.validate().is_ok());
         for view in [View::Left, View::Right] {
@@ -100,13 +111,18 @@ proptest! {
             let ray = view.ray(pixel).unwrap();
             let found = view.project(ray.origin_mm + ray.direction * along).unwrap();
             // A point carries some 10 ulp of 60 mm, seen from 5 mm at least: 600 px / 5 mm, times (1 + 1.2²).
-            prop_assert!((found - pixel).length() < 10.0 * EPS * 60.0 * 120.0 * 2.5 + 1e-12, "{found:?} {pixel:?}");
+            prop_assert!(
+                (found - pixel).length() < 10.0 * EPS * 60.0 * 120.0 * 2.5 + 1e-12,
+                "{found:?} {pixel:?}"
+            );
         }
     }
 
     /// The search for the light's path may begin anywhere, and ends at the same place.
     #[test]
-    fn the_start_of_the_search_does_not_matter(layers in stacks(), at in prop::array::uniform3(-8.0..8.0_f64), start in 0.0..100.0_f64) {
+    fn the_start_of_the_search_does_not_matter(
+        layers in stacks(), at in prop::array::uniform3(-8.0..8.0_f64), start in 0.0..100.0_f64,
+    ) {
         let rig = rig(Some(layers.clone()));
         prop_assume!(rig.validate().is_ok());
         let point = DVec3::from_array(at) + DVec3::Z * 50.0;
@@ -137,9 +153,12 @@ proptest! {
         }
     }
 
-    /// In a vacuum there is nothing to refract: the same bits as without layers, before and behind the interfaces.
+    /// In a vacuum there is nothing to refract: the same bits as without layers, before and behind the
+    /// interfaces.
     #[test]
-    fn row_20_layers_of_air_are_the_pinhole_to_the_bit(normal in normals(), gap_mm in 0.0..40.0_f64, at in prop::array::uniform3(-8.0..8.0_f64)) {
+    fn row_20_layers_of_air_are_the_pinhole_to_the_bit(
+        normal in normals(), gap_mm in 0.0..40.0_f64, at in prop::array::uniform3(-8.0..8.0_f64),
+    ) {
         let plates = vec![Layer { thickness_mm: 3.0, index: 1.0 }];
         let layers = Layers { normal, gap_mm, plates, gel_index: 1.0 };
         let point = DVec3::from_array(at) + DVec3::Z * 30.0;
@@ -148,7 +167,9 @@ proptest! {
 
     /// A layer without thickness does nothing, wherever it is put.
     #[test]
-    fn row_20_a_layer_without_thickness_changes_no_bit(layers in stacks(), index in 1.0..4.0_f64, at in prop::array::uniform3(-8.0..8.0_f64)) {
+    fn row_20_a_layer_without_thickness_changes_no_bit(
+        layers in stacks(), index in 1.0..4.0_f64, at in prop::array::uniform3(-8.0..8.0_f64),
+    ) {
         let point = DVec3::from_array(at) + DVec3::Z * 40.0;
         let bare = rig(Some(layers.clone()));
         let ray = |rig: &Rig| rig.view(View::Left).ray(DVec2::new(320.0, 240.0) + point.truncate() * 10.0);
@@ -163,7 +184,9 @@ proptest! {
 
     /// Two plates of the gel's own index are gel.
     #[test]
-    fn row_20_plates_of_gel_are_gel(normal in normals(), index in 1.0..4.0_f64, at in prop::array::uniform3(-8.0..8.0_f64)) {
+    fn row_20_plates_of_gel_are_gel(
+        normal in normals(), index in 1.0..4.0_f64, at in prop::array::uniform3(-8.0..8.0_f64),
+    ) {
         let point = DVec3::from_array(at) + DVec3::Z * 35.0;
         let plain = Layers { normal, gap_mm: 20.0, plates: vec![], gel_index: index };
         let plate = Layer { thickness_mm: 2.0, index };
@@ -175,7 +198,9 @@ proptest! {
 
     /// A point on the first interface is seen in air; crossing an interface moves no pixel.
     #[test]
-    fn row_20_pixels_are_continuous_across_the_interfaces(layers in stacks(), x in -6.0..6.0_f64, y in -6.0..6.0_f64) {
+    fn row_20_pixels_are_continuous_across_the_interfaces(
+        layers in stacks(), x in -6.0..6.0_f64, y in -6.0..6.0_f64,
+    ) {
         let rig = rig(Some(layers.clone()));
         prop_assume!(rig.validate().is_ok());
         let mut height = layers.gap_mm;
@@ -191,9 +216,13 @@ proptest! {
         }
     }
 
-    /// A tilt by 1e-12 moves the pixels by a millionth of what a tilt by 1e-6 does, one in between by its share.
+    /// A tilt by 1e-12 moves the pixels by a millionth of what a tilt by 1e-6 does, one in between by its
+    /// share.
     #[test]
-    fn row_21_a_tilt_of_1e_12_is_continuous(tilt in prop::sample::select(vec![1e-12, 1e-11, 1e-10, 9e-10]), turn in 0.0..6.3_f64, at in prop::array::uniform3(-8.0..8.0_f64)) {
+    fn row_21_a_tilt_of_1e_12_is_continuous(
+        tilt in prop::sample::select(vec![1e-12, 1e-11, 1e-10, 9e-10]), turn in 0.0..6.3_f64,
+        at in prop::array::uniform3(-8.0..8.0_f64),
+    ) {
         let point = DVec3::from_array(at) + DVec3::Z * 35.0;
         let tilted = |tilt: f64| {
             let normal = DVec3::new(tilt * turn.cos(), tilt * turn.sin(), 1.0);
@@ -223,7 +252,8 @@ fn row_19_normal_incidence() {
     let paraxial = 600.0 / (20.0 + 3.0 / 1.49 + 5.0 / 1.41);
     for offset in [1e-3, 1e-6, 1e-9, 1e-100] {
         let column = view.project(DVec3::new(offset, 0.0, 28.0)).unwrap().x - 319.5;
-        // The next term is of the order of (offset / 25 mm)²; the difference of pixels rounds at an ulp of 319.5.
+        // The next term is of the order of (offset / 25 mm)²; the difference of pixels rounds at an ulp of
+        // 319.5.
         let bound = paraxial * offset * (offset * offset / 600.0 + 2.0 * EPS) + EPS * 319.5;
         assert!((column - paraxial * offset).abs() < bound, "{offset}: {column}");
     }
@@ -282,8 +312,8 @@ fn row_19_total_internal_reflection() {
     }
 }
 
-/// Whatever slope the search begins with, it ends at the same pixel. From far above, Newton's step ends below nothing: where the
-/// gap is small, the light's reach has all but ended there.
+/// Whatever slope the search begins with, it ends at the same pixel. From far above, Newton's step ends below
+/// nothing: where the gap is small, the light's reach has all but ended there.
 #[test]
 fn row_19_any_start_leads_to_the_same_slope() {
     for gap_mm in [0.0, 1e-3, 1.0, 20.0] {
@@ -295,7 +325,8 @@ fn row_19_any_start_leads_to_the_same_slope() {
             let cold = view.project(point_mm).unwrap();
             for start in [1e-9, 0.1, 1.0, 10.0, 1e3, 1e6] {
                 let warm = view.project_with_jacobian(point_mm, start).map(|p| p.pixel_px);
-                // Both rest within 1e-16 of their slope, which the next step would not change, and round as the pixel does.
+                // Both rest within 1e-16 of their slope, which the next step would not change, and round as
+                // the pixel does.
                 let off_px = warm.unwrap().distance(cold);
                 assert!(off_px < 20.0 * EPS * (1000.0 + cold.length()), "{gap_mm} {x} {start}: {off_px} px");
             }

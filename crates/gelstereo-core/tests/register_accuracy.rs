@@ -1,4 +1,5 @@
-//! How often and how exactly the rungs find simulated contacts (noise 0.03 mm per axis, starts 5 degrees and 1 mm off).
+//! How often and how exactly the rungs find simulated contacts (noise 0.03 mm per axis, starts 5 degrees and
+//! 1 mm off).
 //!
 //! `cargo nextest run -p gelstereo-core register_accuracy:: --no-capture` prints the table.
 // A test may stop at what it did not expect, and print its table.
@@ -76,7 +77,8 @@ struct Summary {
     success: f64,
     /// Error over the bound.
     median: f64,
-    /// Share of runs that name exactly the free directions of the closed form, and that name at least as many.
+    /// Share of runs that name exactly the free directions of the closed form, and that name at least as
+    /// many.
     exactly_free: f64,
     at_least_free: f64,
 }
@@ -94,8 +96,8 @@ fn summary(scene: &Scene, method: RegisterMethod) -> Summary {
         at_least_free: share(&|(_, found)| is(found.free.len() >= scene.free)),
     };
     println!(
-        "{:11} {:15} {:4.0} points  success {:4.2}  error/bound {:6.2} (p90 {:6.2})  converged {:4.2} after {:3.0}  \
-         free {:4.2} {:4.2}  rmse {:.3} mm",
+        "{:11} {:15} {:4.0} points  success {:4.2}  error/bound {:6.2} (p90 {:6.2})  converged {:4.2} after \
+         {:3.0}  free {:4.2} {:4.2}  rmse {:.3} mm",
         scene.name,
         format!("{method:?}"),
         share(&|(_, found)| found.points as f64),
@@ -111,8 +113,9 @@ fn summary(scene: &Scene, method: RegisterMethod) -> Summary {
     out
 }
 
-// At the bound the squared ratio is χ² with d degrees of freedom over d: its median is just below 1, and ratios of 4
-// do not occur. What is asserted leaves room for the sampled template (1.4 x) and for the starts that fail.
+// At the bound the squared ratio is χ² with d degrees of freedom over d: its median is just below 1, and
+// ratios of 4 do not occur. What is asserted leaves room for the sampled template (1.4 x) and for the starts
+// that fail.
 
 #[test]
 fn row_10_smooth_contacts_leave_their_directions_free_for_every_rung() {
@@ -168,8 +171,8 @@ fn residuals_that_exceed_the_noise_widen_the_covariance() {
         });
         shares += trace(&untold.information) / trace(&told.information);
     }
-    // Four if nothing were widened. Not quite one: of what lies over the part the farthest points count for nothing, and their
-    // residuals are those that show the noise.
+    // Four if nothing were widened. Not quite one: of what lies over the part the farthest points count for
+    // nothing, and their residuals are those that show the noise.
     let share = shares / CONTACTS as f64;
     assert!((1.0..2.0).contains(&share), "{share}");
 }

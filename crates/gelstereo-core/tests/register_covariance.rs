@@ -1,4 +1,5 @@
-//! The covariance of a registration, whatever the contact: positive definite, and the guess's along what is free.
+//! The covariance of a registration, whatever the contact: positive definite, and the guess's along what is
+//! free.
 
 // A test may stop at what it did not expect.
 #![allow(clippy::unwrap_used)]
@@ -79,7 +80,8 @@ fn quadratic(matrix: &Symmetric<6>, z: &[f64; 6]) -> f64 {
     (0..6).map(|i| (0..6).map(|k| z[i] * matrix[i][k] * z[k]).sum::<f64>()).sum()
 }
 
-/// Variance of the shift of the patch's centroid along `v`: the perturbation (ω, v') moves a point c by v' + ω × c.
+/// Variance of the shift of the patch's centroid along `v`: the perturbation (ω, v') moves a point c by v' +
+/// ω × c.
 fn shift_variance(found: &Registration, v: DVec3) -> f64 {
     let turn = found.observability.centre_mm.cross(v);
     quadratic(&found.covariance(), &[turn.x, turn.y, turn.z, v.x, v.y, v.z])
@@ -105,7 +107,8 @@ fn a_hundred_copies_of_one_point_leave_what_was_guessed() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(48))]
 
-    /// Patches anywhere on the box, some of them one point many times, and points known exactly or hardly at all.
+    /// Patches anywhere on the box, some of them one point many times, and points known exactly or hardly at
+    /// all.
     #[test]
     fn a_covariance_is_positive_definite_whatever_the_contact(
         places in prop::collection::vec(prop::array::uniform3(-1.0..1.0_f64), 1..40),
@@ -130,7 +133,9 @@ proptest! {
         };
         (params.ransac_icp.hypotheses, params.surface_search.starts) = (100, 8);
         let at = Pose::from_translation_mm(AWAY_MM);
-        let Ok(found) = Registrar::new(&params).run(&at_camera(points), template(), &at) else { return Ok(()) };
+        let Ok(found) = Registrar::new(&params).run(&at_camera(points), template(), &at) else {
+            return Ok(());
+        };
         let covariance = found.covariance();
         prop_assert!(is_positive_definite(&covariance), "{covariance:?}");
         for v in [DVec3::X, DVec3::Y, DVec3::Z] {

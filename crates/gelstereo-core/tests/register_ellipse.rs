@@ -26,8 +26,9 @@ fn template(ellipticity: f64) -> Template {
     Template::from_mesh(&TriangleMesh::new(vertices, triangles.collect()).unwrap(), 0.5, 1).unwrap()
 }
 
-/// Points from 10 to 80 degrees of the ellipse's angle and 4 mm long, pressed on along their mean normal; and one that hangs
-/// beside it, the lowest: saliency begins there, and not at points of the contact's rim, which would be in or out by chance.
+/// Points from 10 to 80 degrees of the ellipse's angle and 4 mm long, pressed on along their mean normal; and
+/// one that hangs beside it, the lowest: saliency begins there, and not at points of the contact's rim, which
+/// would be in or out by chance.
 fn registered(method: RegisterMethod, ellipticity: f64, sigma_mm: f64) -> Registration {
     let on_it = (0..45).map(|k| {
         let (sin, cos) = (0.175 + 1.22 * f64::from(k % 9) / 8.0_f64).sin_cos();
@@ -63,8 +64,8 @@ fn row_11_surface_rungs_let_the_covariance_grow_smoothly() {
         let at = [1e-3, 2e-3, 4e-3, 8e-3].map(spin);
         println!("{method:?} {at:?}");
         for pair in at.windows(2) {
-            // Four times as much, but for terms of order e, 1 %, and for the noise of normals: that takes 3 % off the first,
-            // which is thirty times what noise alone would make.
+            // Four times as much, but for terms of order e, 1 %, and for the noise of normals: that takes 3 %
+            // off the first, which is thirty times what noise alone would make.
             let growth = pair[1] / pair[0];
             assert!((3.9..4.3).contains(&growth), "{method:?}: {growth}");
         }

@@ -1,5 +1,5 @@
-//! What a contact leaves free stays where it was guessed, for a search that starts all around the guess, too (row 10).
-//! Simulated contacts, noise 0.03 mm along z.
+//! What a contact leaves free stays where it was guessed, for a search that starts all around the guess, too
+//! (row 10). Simulated contacts, noise 0.03 mm along z.
 // A test may stop at what it did not expect.
 #![allow(clippy::unwrap_used)]
 
@@ -70,7 +70,8 @@ fn row_10_a_search_leaves_what_is_free_at_its_guess() {
     }
 }
 
-/// Where the guess would take the part's end into the contact, the markers say no: its slide is not free that far.
+/// Where the guess would take the part's end into the contact, the markers say no: its slide is not free that
+/// far.
 #[test]
 fn row_10_what_is_free_here_is_not_taken_to_where_it_is_not() {
     let part = parts().remove(0);
@@ -80,8 +81,8 @@ fn row_10_what_is_free_here_is_not_taken_to_where_it_is_not() {
     let problem = Problem::sense(&Gel::press(&part, &pose), pose, Sensing::GOOD, &mut random);
     let guess = lying(-6.5);
     let found = search(&problem, &template, &guess);
-    // Two columns of markers, at -10.8 and -9.9 mm, are pressed: the end is beyond them, but for the part of a pitch that
-    // hides in the gel's own shoulder.
+    // Two columns of markers, at -10.8 and -9.9 mm, are pressed: the end is beyond them, but for the part of
+    // a pitch that hides in the gel's own shoulder.
     let end_mm = found.t_sensor_object.translation_mm.x;
     assert!(end_mm < -9.0, "{end_mm}, free: {:?}", found.free);
     assert!(found.log_odds.unwrap() > 0.0);

@@ -1,9 +1,11 @@
-//! Registration as a whole where it is hardest: bad input, offsets, units, free directions, duplicates, repeated runs.
+//! Registration as a whole where it is hardest: bad input, offsets, units, free directions, duplicates,
+//! repeated runs.
 // A test may stop at what it did not expect, and print its table.
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
 use crate::contact_patch;
 
+use crate::support::poses;
 use contact_patch::{Contact, Shape};
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::math::{DQuat, DVec3, Pose, so3};
@@ -89,9 +91,9 @@ fn row_09_the_answer_moves_with_the_offset() {
         let shift = Pose::from_translation_mm(DVec3::new(offset_mm, -offset_mm, 0.5 * offset_mm));
         let moved: Vec<DVec3> = contact.points_mm.iter().map(|&p| shift.transform_point(p)).collect();
         let there = registrar.run(&moved, &template, &(shift * guess)).unwrap();
-        // Adding the offset rounds every coordinate, and every translation of the iterations, by eps/2 of it. The
-        // fit averages such errors and its weakest direction amplifies them by its condition, here below 10; here as
-        // there coordinates of 30 mm are rounded through a hundred iterations that contract.
+        // Adding the offset rounds every coordinate, and every translation of the iterations, by eps/2 of it.
+        // The fit averages such errors and its weakest direction amplifies them by its condition, here below
+        // 10; here as there coordinates of 30 mm are rounded through a hundred iterations that contract.
         let bound = 10.0 * EPS * offset_mm + 1e3 * EPS * 30.0;
         let back = shift.inverse() * there.t_sensor_object;
         for &p in &contact.points_mm {
@@ -109,8 +111,8 @@ fn row_09_the_same_problem_in_metres() {
     let mut random = Stream::new(6, "metres");
     let contact = Contact::press(&shape, Pose::exp(DVec3::Y * 1.5, DVec3::ZERO), 1.0, 0.03, &mut random);
     let guess = contact.guess(0.03, 0.3, &mut random);
-    // A power of two scales every product without rounding, so that the answer has to agree to the last iterations;
-    // a thousandth is the metre itself, and a thousand the micrometre.
+    // A power of two scales every product without rounding, so that the answer has to agree to the last
+    // iterations; a thousandth is the metre itself, and a thousand the micrometre.
     for scale in [1.0 / 1024.0, 1e-3, 1024.0, 1e3] {
         let scaled = |v: &[DVec3]| v.iter().map(|&p| p * scale).collect::<Vec<_>>();
         let small =
@@ -164,8 +166,8 @@ fn row_10_free_directions_are_named_in_the_objects_own_axes() {
         assert_eq!(said.len(), expected.len(), "{said:?}");
         assert!(said.iter().zip(&expected).all(|(s, e)| s.starts_with(e)), "{said:?}");
         // The axes of a sphere pass through the origin. Normals read off samples 0.3 mm apart are as if
-        // points were 0.15 mm off, their mean 0.15 / √n, and from a patch of radius ρ this is projected to a centre R
-        // away: three times that.
+        // points were 0.15 mm off, their mean 0.15 / √n, and from a patch of radius ρ this is projected to a
+        // centre R away: three times that.
         let n = contact.points_mm.len() as f64;
         let bound = 3.0 * 0.15 / n.sqrt() * 5.0 / found.observability.radius_mm;
         for direction in found.free.iter().filter(|_| !matches!(shape, Shape::Cuboid { .. })) {
@@ -217,8 +219,8 @@ fn row_10_covariance_is_finite_and_inverts_the_information_where_it_can() {
         let product = |a: &[[f64; 6]; 6], b: &[[f64; 6]; 6]| -> [[f64; 6]; 6] {
             std::array::from_fn(|i| std::array::from_fn(|j| (0..6).map(|k| a[i][k] * b[k][j]).sum()))
         };
-        // I C I = I: C is an inverse over the determined directions. Rotations are about the camera, 30 mm away, so the
-        // entries span 30² per side: a condition of about 30⁴.
+        // I C I = I: C is an inverse over the determined directions. Rotations are about the camera, 30 mm
+        // away, so the entries span 30² per side: a condition of about 30⁴.
         let again = product(&product(&information, &covariance), &information);
         let largest = information.iter().flatten().fold(0.0_f64, |m, x| m.max(x.abs()));
         for i in 0..6 {
@@ -243,8 +245,9 @@ fn row_10_ransac_leaves_free_directions_at_the_guess() {
         let found = Registrar::new(&settings).run(&contact.points_mm, &template, &guess).unwrap();
         // Along and about the cylinder's axis, z of the object.
         let (omega, v_mm) = (found.t_sensor_object.inverse() * guess).log();
-        // The guess is 0.5 mm and 0.05 rad off. Undone by the least motion of the patch, its axis's shift turns it by up to
-        // 0.5 mm over the radius, and its tilt slides it by up to 0.05 of the radius; ICP draws it on by a spacing at most.
+        // The guess is 0.5 mm and 0.05 rad off. Undone by the least motion of the patch, its axis's shift
+        // turns it by up to 0.5 mm over the radius, and its tilt slides it by up to 0.05 of the radius; ICP
+        // draws it on by a spacing at most.
         let bound = (0.5 / 4.0 + 0.05, 0.05 * 4.0 + 0.3);
         assert!(omega.z.abs() < bound.0 && v_mm.z.abs() < bound.1, "{seed}: {} rad {} mm", omega.z, v_mm.z);
     }
@@ -262,8 +265,8 @@ fn row_10_point_to_point_converges_though_it_creeps_along_free_directions() {
             let guess = contact.guess(0.08, 1.0, &mut random);
             let settings = params(RegisterMethod::FilterregPoint);
             let found = Registrar::new(&settings).run(&contact.points_mm, &template, &guess).unwrap();
-            // A millimetre off at first, and every step closes at least half of what is left: 2^-12 mm is the tolerance.
-            // Sampling lets some steps close less.
+            // A millimetre off at first, and every step closes at least half of what is left: 2^-12 mm is the
+            // tolerance. Sampling lets some steps close less.
             assert!(found.converged && found.iterations < 30, "{} iterations", found.iterations);
         }
     }
@@ -315,14 +318,17 @@ proptest! {
 
     #[test]
     fn any_patch_gets_a_finite_answer_or_an_error(
-        points in prop::collection::vec(prop::array::uniform3(prop_oneof![-6.0..6.0_f64, any::<f64>(), Just(4.0)]), 0..30),
+        points in prop::collection::vec(
+            prop::array::uniform3(prop_oneof![-6.0..6.0_f64, any::<f64>(), Just(4.0)]), 0..30,
+        ),
         omega in vector(3.0), v in vector(8.0), method in 0..METHODS.len(),
     ) {
         let points: Vec<DVec3> = points.into_iter().map(DVec3::from_array).collect();
         let template = Shape::Cuboid { half_mm: DVec3::new(3.0, 4.0, 5.0) }.template(0.8);
-        if let Ok(found) = Registrar::new(&params(METHODS[method])).run(&points, &template, &Pose::exp(omega, v)) {
-            prop_assert!(found.t_sensor_object.rotation.is_finite() && found.t_sensor_object.translation_mm.is_finite());
-            prop_assert!(found.information.iter().chain(&found.covariance()).flatten().all(|x| x.is_finite()));
+        if let Ok(found) =
+            Registrar::new(&params(METHODS[method])).run(&points, &template, &Pose::exp(omega, v))
+        {
+            prop_assert!(poses::is_finite(&found));
             prop_assert!(found.rmse_mm.is_finite() && found.inliers >= 3);
         }
     }

@@ -115,8 +115,8 @@ fn params(method: RegisterMethod) -> RegisterParams {
     RegisterParams { method, ..RegisterParams::default() }
 }
 
-/// Normal equations lose eps times their condition, 1e7 between faces that are known to half a micrometre and what the prior
-/// alone holds to 2 mm, of steps of some millimetres in all.
+/// Normal equations lose eps times their condition, 1e7 between faces that are known to half a micrometre and
+/// what the prior alone holds to 2 mm, of steps of some millimetres in all.
 const ROUNDING_MM: f64 = 1e-8;
 
 /// How far apart a rung's answers in two frames are, mm over the patch's points.
@@ -131,11 +131,12 @@ fn apart_in_frames(seed: u64, motion: &Pose, method: RegisterMethod) -> f64 {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(6))]
 
-    /// Whether a step is the last one, or which of two triangles is nearer, may turn on rounding; then by what steps are told
-    /// apart.
+    /// Rounding may decide which step is the last one, or which of two triangles is nearer. Answers then
+    /// differ by up to the tolerance of a step.
     #[test]
     fn the_answer_moves_with_all_that_is_sensed(
-        seed in 0..1000_u64, omega in prop::array::uniform3(-1.8..1.8_f64), v in prop::array::uniform3(-100.0..100.0_f64),
+        seed in 0..1000_u64, omega in prop::array::uniform3(-1.8..1.8_f64),
+        v in prop::array::uniform3(-100.0..100.0_f64),
     ) {
         let motion = Pose::exp(DVec3::from_array(omega), DVec3::from_array(v));
         for method in RUNGS {
@@ -176,9 +177,9 @@ fn the_order_of_points_changes_no_bit() {
     }
 }
 
-/// The field of distances lies along the part's axes. Both methods begin on it, and may end on another peak: of a search's 24
-/// contacts 9 did. A close start ends at the first step that is no better, too: of 80 contacts 32 gave the same, so that of 24 fewer than 4 have a probability
-/// of 4e-3.
+/// The field of distances lies along the part's axes. Both methods begin on it, and may end on another peak:
+/// of a search's 24 contacts 9 did. A close start ends at the first step that is no better, too: of 80
+/// contacts 32 gave the same, so that of 24 fewer than 4 have a probability of 4e-3.
 #[test]
 fn in_another_frame_of_the_part_many_answers_are_the_same() {
     let object = Pose::exp(DVec3::new(0.4, 0.9, -0.7), DVec3::new(12.0, -3.0, 40.0));
@@ -202,8 +203,9 @@ fn in_another_frame_of_the_part_many_answers_are_the_same() {
     }
 }
 
-/// A search in a turned frame starts elsewhere, and then another pose may win. Both find the best one in 95 % of such contacts or
-/// more, so that two of them differ in no more than 10 %: more than 9 of 24 have a probability of 2e-4 then.
+/// A search in a turned frame starts elsewhere, and then another pose may win. Both find the best one in 95 %
+/// of such contacts or more, so that two of them differ in no more than 10 %: more than 9 of 24 have a
+/// probability of 2e-4 then.
 #[test]
 fn other_starts_seldom_find_another_pose() {
     let motion = Pose::exp(DVec3::new(0.3, -0.8, 1.2), DVec3::new(5.0, -40.0, 7.0));
@@ -234,9 +236,9 @@ fn scaled(scale: f64, method: RegisterMethod) -> (Template, RegisterParams) {
     (template.with_field(Template::DEFAULT_CELL_MM * scale, Template::DEFAULT_REACH_MM * scale), params)
 }
 
-/// With the gel's size, as [`AdvancedRegisterParams::gel_scale`] says it, all lengths are of one unit, and nothing but roundings
-/// depends on which. Where a rounding turns which step is the last one answers differ by what steps are told apart by; of these
-/// none does.
+/// With [`AdvancedRegisterParams::gel_scale`] all lengths scale together, so only roundings depend on the
+/// unit. Where rounding decides which step is the last one, answers differ by the tolerance of a step. No
+/// case here does.
 #[test]
 fn row_09_the_answer_scales_with_all_that_is_sensed() {
     let methods = [RegisterMethod::SurfaceClose, RegisterMethod::SurfaceSearch];
@@ -254,7 +256,8 @@ fn row_09_the_answer_scales_with_all_that_is_sensed() {
                 let back = Pose { translation_mm: t_there.translation_mm / scale, ..t_there };
                 let apart_mm = given.apart_mm(&here.t_sensor_object, &back);
                 assert!(apart_mm <= ROUNDING_MM, "{method:?} {seed} {scale} {apart_mm}");
-                // A point says no more per standard deviation that it is off than where an outlier is as likely, at some 5.
+                // A point says no more per standard deviation that it is off than where an outlier is as
+                // likely, at some 5.
                 let odds = (here.log_odds.unwrap() - there.log_odds.unwrap()).abs();
                 let most = 5.0 * given.points_mm.len() as f64 * ROUNDING_MM / 0.03;
                 assert!(odds <= most, "{method:?} {seed} {scale} {odds}");

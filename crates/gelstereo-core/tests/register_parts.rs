@@ -65,8 +65,8 @@ proptest! {
         let (Ok(here), Ok(there)) = (make(DVec3::ZERO), make(offset)) else { return Ok(()) };
         let (a, b) = (soft_match(&here, DVec3::ZERO, sigma), soft_match(&there, offset, sigma));
         prop_assert!(a.spread_mm2 >= 0.0 && b.spread_mm2 >= 0.0);
-        // Coordinates moved to 1e6 mm are rounded by eps/2 1e6 = 1.1e-10 each; distances of 1e-3 carry that over, and a
-        // weight changes by d δ / σ² of itself.
+        // Coordinates moved to 1e6 mm are rounded by eps/2 1e6 = 1.1e-10 each; distances of 1e-3 carry that
+        // over, and a weight changes by d δ / σ² of itself.
         let rounding = 2.0 * EPS * 1e6;
         let gain = 1.0 + 4e-6 / (sigma * sigma);
         prop_assert!((a.offset_mm - b.offset_mm).length() <= 8.0 * rounding * gain);
@@ -142,7 +142,10 @@ fn awkward_points() -> impl Strategy<Value = Vec<DVec3>> {
 
 proptest! {
     #[test]
-    fn row_12_the_tree_agrees_with_brute_force(points in awkward_points(), queries in awkward_points(), squared in prop_oneof![(0..10_u8).prop_map(f64::from), 0.0..9.0_f64]) {
+    fn row_12_the_tree_agrees_with_brute_force(
+        points in awkward_points(), queries in awkward_points(),
+        squared in prop_oneof![(0..10_u8).prop_map(f64::from), 0.0..9.0_f64],
+    ) {
         let tree = KdTree::new(&points);
         for &query in queries.iter().take(40) {
             prop_assert_eq!(tree.nearest(query), Some(brute_force(&points, query)));
@@ -198,7 +201,8 @@ fn meshes_are_sampled_evenly_and_repeatably() {
     let template = Template::from_mesh(&mesh, 0.3, 1).unwrap();
     let area = 8.0 * (3.0 * 4.0 + 4.0 * 5.0 + 5.0 * 3.0);
     let expected = area / 0.09;
-    // The cover of random discs is known to a per cent; edges, where faces do not see each other, add their share.
+    // The cover of random discs is known to a per cent; edges, where faces do not see each other, add their
+    // share.
     assert!((template.points_mm().len() as f64 / expected - 1.0).abs() < 0.05);
     for (k, (p, n)) in template.points_mm().iter().zip(template.normals()).enumerate() {
         let mut closest = f64::INFINITY;

@@ -14,7 +14,8 @@ use proptest::prelude::*;
 
 const SPACING_MM: f64 = 0.4;
 const METHODS: [RegisterMethod; 2] = [RegisterMethod::FilterregPoint, RegisterMethod::RansacIcp];
-/// Coordinates of 300 mm at most, through a hundred iterations that contract and the patch's condition, below 10.
+/// Coordinates of 300 mm at most, through a hundred iterations that contract and the patch's condition, below
+/// 10.
 const ROUNDING_MM: f64 = 1e3 * f64::EPSILON * 300.0;
 
 /// What is given to registration, and the samples of the part.
@@ -112,15 +113,18 @@ fn squared(information: &Symmetric<6>, z: &[f64; 6]) -> [f64; 2] {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 
-    /// Whichever frame the sensor's is, and whichever the part's: all that is random goes by the order of points.
+    /// The result does not depend on the choice of the sensor's or the part's frame, because random choices
+    /// depend on the order of the points only.
     #[test]
     fn the_answer_moves_with_either_frame(seed in 0..1000_u64, sensor in pose(), object in pose()) {
         let given = Given::new(seed);
         for method in METHODS {
-            let (here, there) = match (given.register(method), given.moved(&sensor, &object).register(method)) {
+            let (here, there) = match (given.register(method), given.moved(&sensor, &object).register(method))
+            {
                 (Ok(here), Ok(there)) => (here, there),
                 (here, there) => {
-                    // Of contacts of some ten points a hypothesis may leave too few within reach, in either frame.
+                    // Of contacts of some ten points a hypothesis may leave too few within reach, in either
+                    // frame.
                     prop_assert_eq!(refused(here), refused(there), "{:?}", method);
                     prop_assert_eq!(method, RegisterMethod::RansacIcp);
                     continue;
@@ -131,7 +135,11 @@ proptest! {
             prop_assert!(apart_mm <= ROUNDING_MM, "{method:?} {apart_mm:e}");
             prop_assert_eq!((here.inliers, here.free.len()), (there.inliers, there.free.len()));
             // Eigenvalues are what no frame changes.
-            let values = [&here, &there].map(|found| { let mut v = found.observability.values; v.sort_by(f64::total_cmp); v });
+            let values = [&here, &there].map(|found| {
+                let mut v = found.observability.values;
+                v.sort_by(f64::total_cmp);
+                v
+            });
             let scale = values[0][5].max(1.0);
             let off = values[0].iter().zip(&values[1]).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
             prop_assert!(off <= 1e-9 * scale, "{method:?} {off:e} of {scale:e}");
@@ -143,7 +151,8 @@ proptest! {
                 let turned = sensor.transform_vector(omega);
                 let shifted = sensor.transform_vector(v) + sensor.translation_mm.cross(turned);
                 let told = [turned.x, turned.y, turned.z, shifted.x, shifted.y, shifted.z];
-                let ([a, size_a], [b, size_b]) = (squared(&here.information, &z), squared(&there.information, &told));
+                let ([a, size_a], [b, size_b]) =
+                    (squared(&here.information, &z), squared(&there.information, &told));
                 prop_assert!((a - b).abs() <= 1e-9 * (size_a + size_b), "{method:?} {axis}: {a:e} {b:e}");
             }
         }
@@ -154,14 +163,15 @@ proptest! {
     fn the_order_of_points_and_of_samples_changes_no_more_than_rounding(seed in 0..1000_u64) {
         let given = Given::new(seed);
         let method = RegisterMethod::FilterregPoint;
-        let [here, there] = [&given, &given.shuffled(seed)].map(|g| g.register(method).unwrap().t_sensor_object);
+        let [here, there] =
+            [&given, &given.shuffled(seed)].map(|g| g.register(method).unwrap().t_sensor_object);
         let apart_mm = given.apart_mm(&here, &there);
         prop_assert!(apart_mm <= ROUNDING_MM, "{apart_mm:e}");
     }
 }
 
-/// RANSAC draws points by their number, so that another order is another seed. Where the first is right, the other is as often
-/// as a second seed is.
+/// RANSAC draws points by their number, so that another order is another seed. Where the first is right, the
+/// other is as often as a second seed is.
 #[test]
 fn another_order_is_another_seed_for_ransac() {
     let (mut by_order, mut by_seed) = (0, 0);

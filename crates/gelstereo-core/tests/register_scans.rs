@@ -1,4 +1,5 @@
-//! Scans as templates: points with noise and holes, and meshes that are not closed (simulated, noise 0.03 mm, shoulder).
+//! Scans as templates: points with noise and holes, and meshes that are not closed (simulated, noise 0.03 mm,
+//! shoulder).
 // A test may stop at what it did not expect, and print its table.
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
@@ -14,8 +15,8 @@ use problems::{CLASSES, Problem, Sensing, Tally};
 
 const SPACING_MM: f64 = 0.25;
 
-/// Points of a scanner: 0.01 mm off along the normal, normals off by 0.03 rad, and nothing where light did not go: in
-/// balls of 0.7 mm, one in 15 mm of the part's length.
+/// Points of a scanner: 0.01 mm off along the normal, normals off by 0.03 rad, and nothing where light did
+/// not go: in balls of 0.7 mm, one in 15 mm of the part's length.
 fn scan(whole: &Template, random: &mut Stream) -> Template {
     let points = whole.points_mm();
     let holes: Vec<DVec3> =

@@ -1,4 +1,5 @@
-//! The rungs on the part's surface: how often and how exactly they find simulated contacts, and where they are hardest.
+//! The rungs on the part's surface: how often and how exactly they find simulated contacts, and where they
+//! are hardest.
 //!
 //! Rates over more contacts: `cargo run --release --features serde --example starts`.
 // A test may stop at what it did not expect, and print its table.
@@ -6,6 +7,7 @@
 
 use crate::problems;
 
+use crate::support::poses;
 use gelstereo_core::math::linalg::{Symmetric, eigen};
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::math::{DMat3, DQuat, DVec3, Pose, so3};
@@ -46,7 +48,8 @@ fn register(method: RegisterMethod, problem: &Problem, template: &Template, gues
 
 #[test]
 fn search_finds_contacts_from_near_and_far() {
-    // Four binomial standard deviations of 48 runs, 7 and 11 %, below the 98 and 96 % that 120 runs of others give.
+    // Four binomial standard deviations of 48 runs, 7 and 11 %, below the 98 and 96 % that 120 runs of others
+    // give.
     for (class, floor) in [(&CLASSES[1], 0.9), (&CLASSES[3], 0.85)] {
         let mut all = Tally::default();
         for (part, template) in stock() {
@@ -103,9 +106,10 @@ fn markers_that_nothing_presses_tell_where_a_thread_ends() {
 
 #[test]
 fn what_is_claimed_of_the_error_holds() {
-    // Normalised error squared over the determined directions: its mean over N runs of d directions is 1 within
-    // 4 sqrt(2 / N d) for exact covariances. The shoulder is modelled, not known: a quarter as much again is allowed. On a
-    // part with edges a row of shoulder beside one may pass for the face beyond it, and no covariance knows of that.
+    // Normalised error squared over the determined directions: its mean over N runs of d directions is 1
+    // within 4 sqrt(2 / N d) for exact covariances. The shoulder is modelled, not known: a quarter as much
+    // again is allowed. On a part with edges a row of shoulder beside one may pass for the face beyond it,
+    // and no covariance knows of that.
     let (part, template) = &stock()[0];
     for sensing in [Sensing::GOOD, Sensing::NOISY] {
         let (mut squared, mut directions) = (0.0, 0);
@@ -181,8 +185,8 @@ fn a_spent_budget_leaves_a_valid_answer() {
     assert_eq!(all.log_likelihood, Some(last));
 }
 
-/// Whatever the budget, the answer is the same again and its covariance inverts its information; one start that takes no
-/// step has not converged.
+/// Whatever the budget, the answer is the same again and its covariance inverts its information; one start
+/// that takes no step has not converged.
 #[test]
 fn a_budget_stops_every_rung_and_what_it_returns_is_what_it_says() {
     let mut random = Stream::new(24, "budgets");
@@ -301,9 +305,9 @@ fn thin(way: usize, least: f64) -> Symmetric<3> {
     c
 }
 
-/// Every second covariance has a direction without variance, or one below 0 by rounding: the answer is that of
-/// covariances which have a millionth there, and finite where nothing else is wrong with the surface, either. One that is
-/// negative beyond rounding is refused.
+/// Every second covariance has a direction without variance, or one below 0 by rounding: the answer is that
+/// of covariances which have a millionth there, and finite where nothing else is wrong with the surface,
+/// either. One that is negative beyond rounding is refused.
 #[test]
 fn row_32_singular_and_slightly_negative_covariances_are_taken_and_negative_ones_refused() {
     let (part, template) = some("square peg");
@@ -367,7 +371,8 @@ fn row_09_surface_rungs_move_with_the_offset_and_the_turn() {
                 Contact { press_direction: motion.transform_vector(DVec3::NEG_Z), ..there.contact() };
             let found =
                 Registrar::new(&params(method)).register(&contact, template, &(motion * guess)).unwrap();
-            // Steps shorter than a hundredth of σ are not told apart; coordinates are rounded to eps of their size.
+            // Steps shorter than a hundredth of σ are not told apart; coordinates are rounded to eps of their
+            // size.
             let bound_mm = 0.01 * 0.03 * 10.0 + 10.0 * f64::EPSILON * size_mm;
             let back = motion.inverse() * found.t_sensor_object;
             let worst = problem.points_mm.iter().map(|&p| {
@@ -446,9 +451,12 @@ proptest! {
 
     #[test]
     fn any_contact_gets_a_finite_answer_or_an_error(
-        points in prop::collection::vec(prop::array::uniform3(prop_oneof![-6.0..6.0_f64, any::<f64>(), Just(4.0)]), 0..30),
+        points in prop::collection::vec(
+            prop::array::uniform3(prop_oneof![-6.0..6.0_f64, any::<f64>(), Just(4.0)]), 0..30,
+        ),
         rest in prop::collection::vec(prop::array::uniform3(-9.0..9.0_f64), 0..30),
-        omega in prop::array::uniform3(-3.0..3.0_f64), v in prop::array::uniform3(-8.0..8.0_f64), method in 0..2_usize,
+        omega in prop::array::uniform3(-3.0..3.0_f64), v in prop::array::uniform3(-8.0..8.0_f64),
+        method in 0..2_usize,
     ) {
         let points: Vec<DVec3> = points.into_iter().map(DVec3::from_array).collect();
         let rest: Vec<DVec3> = rest.into_iter().map(DVec3::from_array).collect();
@@ -458,8 +466,7 @@ proptest! {
         let mut settings = params(RUNGS[method]);
         settings.surface_search.starts = 16;
         if let Ok(found) = Registrar::new(&settings).register(&contact, template, &guess) {
-            prop_assert!(found.t_sensor_object.rotation.is_finite() && found.t_sensor_object.translation_mm.is_finite());
-            prop_assert!(found.information.iter().chain(&found.covariance()).flatten().all(|x| x.is_finite()));
+            prop_assert!(poses::is_finite(&found));
             prop_assert!(found.rmse_mm.is_finite() && found.log_likelihood.is_some_and(f64::is_finite));
         }
     }

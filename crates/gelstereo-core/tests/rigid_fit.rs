@@ -29,7 +29,8 @@ proptest! {
         let truth = Pose::exp(omega, v);
         let target: Vec<DVec3> = points.iter().map(|&p| truth.transform_point(p)).collect();
         let fit = rigid_fit(&points, &target, &[]).unwrap();
-        // Rotation by round-off of the coordinates, up to 100 mm, over the radius of the second principal axis.
+        // Rotation by round-off of the coordinates, up to 100 mm, over the radius of the second principal
+        // axis.
         let radius = second_radius(&points);
         prop_assume!(radius > 1e-3);
         let bound = 32.0 * EPS * 100.0 / radius;
@@ -42,7 +43,8 @@ proptest! {
 
     #[test]
     fn row_05_mirrored_points_get_the_best_rotation_and_never_a_reflection(
-        points in prop::collection::vec(vector(10.0), 4..20), others in prop::collection::vec(vector(1.5), 64),
+        points in prop::collection::vec(vector(10.0), 4..20),
+        others in prop::collection::vec(vector(1.5), 64),
     ) {
         let target: Vec<DVec3> = points.iter().map(|p| DVec3::new(-p.x, p.y, p.z)).collect();
         let fit = rigid_fit(&points, &target, &[]).unwrap();
@@ -62,7 +64,10 @@ proptest! {
     }
 
     #[test]
-    fn row_05_a_pair_with_weight_two_counts_like_two_pairs(points in prop::collection::vec(vector(10.0), 5..10), shifts in prop::collection::vec(vector(1.0), 10)) {
+    fn row_05_a_pair_with_weight_two_counts_like_two_pairs(
+        points in prop::collection::vec(vector(10.0), 5..10),
+        shifts in prop::collection::vec(vector(1.0), 10),
+    ) {
         let target: Vec<DVec3> = points.iter().zip(&shifts).map(|(&p, &s)| p + s).collect();
         let mut weights = vec![1.0; points.len()];
         weights[0] = 2.0;
@@ -138,15 +143,15 @@ proptest! {
         let fit = rigid_fit(&line(from, a), &line(to, b), &[]).unwrap();
         prop_assert_eq!(fit.free_rotations, 1);
         let least = so3::exp(a.cross(b).normalize() * a.angle_between(b));
-        // A direction is known to the coordinates' rounding over the line's length, and the axis of the turn to that
-        // over the sine of the angle.
+        // A direction is known to the coordinates' rounding over the line's length, and the axis of the turn
+        // to that over the sine of the angle.
         let bound = 64.0 * EPS * 1e3 / spread / a.cross(b).length();
         prop_assert!(angle_between(fit.t_target_source.rotation, least) <= bound.max(1e-14));
     }
 }
 
-/// A line that is 1e-12 off straight determines the spin, and one that is straight to the rounding of its coordinates, far
-/// away, does not, whatever it is matched with.
+/// A line that is 1e-12 off straight determines the spin, and one that is straight to the rounding of its
+/// coordinates, far away, does not, whatever it is matched with.
 #[test]
 fn row_05_a_line_is_straight_to_its_own_round_off() {
     let targets =
@@ -171,7 +176,8 @@ fn row_09_a_fit_of_many_points_far_away_rounds_no_more_than_their_coordinates() 
     let far = DVec3::new(1e9, -1e9, 5e8);
     let target: Vec<DVec3> = source.iter().map(|&p| p + far).collect();
     let shift = rigid_fit(&source, &target, &[]).unwrap().t_target_source;
-    // Every coordinate is rounded by eps/2 of 1e9 at most, and their mean by as much again; the source is where it was.
+    // Every coordinate is rounded by eps/2 of 1e9 at most, and their mean by as much again; the source is
+    // where it was.
     let mean = gelstereo_core::math::centroid(&source);
     assert!((shift.transform_point(mean) - mean - far).length() <= 3.0 * EPS * 1e9);
 }
@@ -198,7 +204,8 @@ fn row_06_weights_and_points_that_mean_nothing_are_refused() {
         rigid_fit(&p, &p[..2], &[]).map(|_| ()),
         Err(RigidFitError::Lengths { source: 3, target: 2, weights: 0 })
     );
-    // In each coordinate by itself: a NaN beside numbers is no largest one. Squares of what is beyond 1e150 overflow.
+    // In each coordinate by itself: a NaN beside numbers is no largest one. Squares of what is beyond 1e150
+    // overflow.
     for (axis, bad) in (0..3).flat_map(|axis| [f64::NAN, f64::INFINITY, -1e151].map(|bad| (axis, bad))) {
         let mut q = p;
         q[1][axis] = bad;
@@ -210,8 +217,8 @@ fn row_06_weights_and_points_that_mean_nothing_are_refused() {
     assert!(rigid_fit(&p.map(|x| x * 1e150), &p, &[]).is_ok());
 }
 
-/// It is left out of sums, means and what is known of round-off, however far away it is; and one that hardly counts
-/// leaves the others what they know.
+/// It is left out of sums, means and what is known of round-off, however far away it is; and one that hardly
+/// counts leaves the others what they know.
 #[test]
 fn row_06_a_pair_of_weight_zero_does_not_count() {
     let mut random = Stream::new(6, "zero");

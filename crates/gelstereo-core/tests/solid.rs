@@ -76,7 +76,13 @@ proptest! {
             check_consistent(&solid, &mesh, p, &found, 9.0);
             // Barycentric coordinates of these triangles lose three digits at most.
             let expected = distance(p, &mesh);
-            prop_assert!((found.distance_mm.abs() - expected).abs() <= 1e3 * EPS * 25.0, "{} {} {}", p, found.distance_mm, expected);
+            prop_assert!(
+                (found.distance_mm.abs() - expected).abs() <= 1e3 * EPS * 25.0,
+                "{} {} {}",
+                p,
+                found.distance_mm,
+                expected
+            );
         }
     }
 
@@ -120,7 +126,10 @@ proptest! {
         for p in queries(&base, seed ^ 3, 100) {
             let found = solid.closest(p);
             let other = binary.closest(p / 1024.0);
-            prop_assert_eq!((other.distance_mm * 1024.0, other.triangle, other.normal), (found.distance_mm, found.triangle, found.normal));
+            prop_assert_eq!(
+                (other.distance_mm * 1024.0, other.triangle, other.normal),
+                (found.distance_mm, found.triangle, found.normal)
+            );
             // Vertices and the point are rounded anew, and with them the distance by as much.
             let other = metres.closest(p * 1e-3);
             prop_assert!((other.distance_mm * 1e3 - found.distance_mm).abs() <= 1e3 * EPS * 25.0);
@@ -135,10 +144,14 @@ proptest! {
     fn row_09_every_power_of_two_has_the_same_answer(seed in any::<u64>(), power in -200_i32..36) {
         let base = rough(seed, 3);
         let scale = 2.0_f64.powi(power);
-        let (solid, other) = (Solid::new(&base).unwrap(), Solid::new(&transform(&base, scale, DVec3::ZERO)).unwrap());
+        let (solid, other) =
+            (Solid::new(&base).unwrap(), Solid::new(&transform(&base, scale, DVec3::ZERO)).unwrap());
         for p in queries(&base, seed ^ 4, 100) {
             let (here, there) = (solid.closest(p), other.closest(p * scale));
-            prop_assert_eq!((there.distance_mm, there.triangle, there.feature), (here.distance_mm * scale, here.triangle, here.feature));
+            prop_assert_eq!(
+                (there.distance_mm, there.triangle, there.feature),
+                (here.distance_mm * scale, here.triangle, here.feature)
+            );
         }
     }
 
@@ -150,7 +163,13 @@ proptest! {
             let p = p * 10.0_f64.powi(power);
             let (found, expected) = (solid.closest(p).distance_mm.abs(), distance(p, &mesh));
             prop_assert_eq!(solid.closest_from(p, 7), solid.closest(p));
-            prop_assert!((found - expected).abs() <= 1e3 * EPS * (25.0 + p.length()), "{} {} {}", p, found, expected);
+            prop_assert!(
+                (found - expected).abs() <= 1e3 * EPS * (25.0 + p.length()),
+                "{} {} {}",
+                p,
+                found,
+                expected
+            );
         }
     }
 
@@ -160,15 +179,25 @@ proptest! {
         numbers in prop::collection::vec(prop::array::uniform3(prop::array::uniform3(0_i8..4)), 1..40),
         points in prop::collection::vec(prop::array::uniform3(-2_i8..12), 20),
     ) {
-        let vertices: Vec<DVec3> = numbers.iter().flatten().map(|v| DVec3::from_array(v.map(f64::from))).collect();
-        let triangles: Vec<[u32; 3]> = (0..numbers.len() as u32).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect();
+        let vertices: Vec<DVec3> =
+            numbers.iter().flatten().map(|v| DVec3::from_array(v.map(f64::from))).collect();
+        let triangles: Vec<[u32; 3]> =
+            (0..numbers.len() as u32).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect();
         let Ok(mesh) = TriangleMesh::new(vertices, triangles) else { return Ok(()) };
         let solid = Solid::new(&mesh).unwrap();
         for p in points.iter().map(|v| DVec3::from_array(v.map(f64::from)) / 2.0) {
             let found = solid.closest(p);
             check_consistent(&solid, &mesh, p, &found, 4.0);
-            let squares: Vec<f64> = mesh.corners().enumerate()
-                .map(|(t, c)| if solid.face_normal(t as u32) == DVec3::ZERO { f64::INFINITY } else { squared_distance(p, c) })
+            let squares: Vec<f64> = mesh
+                .corners()
+                .enumerate()
+                .map(|(t, c)| {
+                    if solid.face_normal(t as u32) == DVec3::ZERO {
+                        f64::INFINITY
+                    } else {
+                        squared_distance(p, c)
+                    }
+                })
                 .collect();
             let least = squares.iter().copied().fold(f64::INFINITY, f64::min);
             prop_assert!((found.distance_mm.abs() - least.sqrt()).abs() < 1e-12);
@@ -294,9 +323,12 @@ fn slivers_keep_all_digits() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// Down to heights at which the normal is rounding: found by fuzzing, as a first guess changed the answer.
+    /// Down to heights at which the normal is rounding: found by fuzzing, as a first guess changed the
+    /// answer.
     #[test]
-    fn of_slivers_of_any_height_the_answer_does_not_depend_on_the_guess(seed in any::<u64>(), digits in 3_i32..17) {
+    fn of_slivers_of_any_height_the_answer_does_not_depend_on_the_guess(
+        seed in any::<u64>(), digits in 3_i32..17,
+    ) {
         let mut random = Stream::new(seed, "slivers");
         let mut vertices = Vec::new();
         for _ in 0..6 {
@@ -319,13 +351,15 @@ proptest! {
                 prop_assert_eq!(solid.closest_from(p, guess), found);
             }
             // Slivers with a face are as far as their longest edge, but for their height.
-            let kept = mesh.corners().enumerate().filter(|&(t, _)| solid.face_normal(t as u32) != DVec3::ZERO);
+            let kept =
+                mesh.corners().enumerate().filter(|&(t, _)| solid.face_normal(t as u32) != DVec3::ZERO);
             let segment = |a: DVec3, b: DVec3| {
                 let share = ((p - a).dot(b - a) / (b - a).length_squared()).clamp(0.0, 1.0);
                 (a + (b - a) * share).distance(p)
             };
             let square = squared_distance(p, [DVec3::ZERO, DVec3::X, DVec3::Y]).sqrt();
-            let least = kept.filter(|&(t, _)| t < 12).map(|(_, [a, b, _])| segment(a, b)).fold(square, f64::min);
+            let least =
+                kept.filter(|&(t, _)| t < 12).map(|(_, [a, b, _])| segment(a, b)).fold(square, f64::min);
             prop_assert!((found.distance_mm.abs() - least).abs() < 2.0 * 10.0_f64.powi(-digits) + 1e-14);
         }
     }

@@ -4,7 +4,7 @@ use crate::solids;
 use gelstereo_core::math::{DVec3, Pose};
 use gelstereo_core::params::{RegisterMethod, RegisterParams};
 use gelstereo_core::register::{
-    Contact, Localizer, RegisterError, Registrar, Template, TemplateBytesError, TemplateError,
+    Contact, Localizer, RegisterError, Registrar, Template, TemplateBytesError, TemplateError, TrackingStatus,
 };
 use gelstereo_core::stop::{Stop, Stopped};
 use gelstereo_core::surface::TriangleMesh;
@@ -86,7 +86,8 @@ fn registration_that_is_not_stopped_gives_the_same_bits() {
     }
 }
 
-/// A registration that was stopped at any of its questions leaves nothing behind: the next one has the bits of a first one.
+/// A registration that was stopped at any of its questions leaves nothing behind: the next one has the bits
+/// of a first one.
 #[test]
 fn a_registration_that_is_stopped_leaves_nothing_behind() {
     let points = patch();
@@ -126,6 +127,31 @@ fn a_localizer_that_is_stopped_goes_on_as_before() {
             assert_eq!(found, Err(RegisterError::Stopped), "at {question} of {all}");
         }
         assert_eq!(stopped.run(&contact, &TEMPLATE).unwrap().registration.digest(), digest);
+    }
+}
+
+/// A contact that the part does not explain is first followed and then searched for. A stop there leaves the
+/// part held.
+#[test]
+fn a_search_that_is_stopped_leaves_the_part_followed() {
+    let points = patch();
+    let scattered: Vec<DVec3> =
+        (0..points.len()).map(|k| points[k] + DVec3::Z * (k * 7 % 11) as f64).collect();
+    let (contact, strange) = (Contact::new(&points), Contact::new(&scattered));
+    let mut params = RegisterParams::default();
+    params.surface_search.starts = 16;
+    let mut held = Localizer::new(&params, &Pose::IDENTITY);
+    held.run(&contact, &TEMPLATE).unwrap();
+    let followed = held.clone().run(&contact, &TEMPLATE).unwrap();
+    assert_eq!(followed.tracking, TrackingStatus::Tracking);
+    let mut trial = held.clone();
+    let (_, all) = stopped_at(usize::MAX, |stop| trial.run_unless(&strange, &TEMPLATE, stop).map(|_| ()));
+    assert_ne!(trial.run(&contact, &TEMPLATE).unwrap().tracking, TrackingStatus::Tracking, "it was lost");
+    for question in (0..9).map(|k| k * (all - 1) / 8) {
+        let mut stopped = held.clone();
+        let (found, _) = stopped_at(question, |stop| stopped.run_unless(&strange, &TEMPLATE, stop));
+        assert_eq!(found, Err(RegisterError::Stopped), "at {question} of {all}");
+        assert_eq!(stopped.run(&contact, &TEMPLATE).unwrap(), followed, "after {question} of {all}");
     }
 }
 

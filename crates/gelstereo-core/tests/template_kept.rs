@@ -158,10 +158,12 @@ fn forged_flags_grids_and_axes_are_refused() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(48))]
 
-    /// Whole by its digest, and yet nonsense: counts that are not there, points, grids and axes that are none.
+    /// Whole by its digest, and yet nonsense: counts that are not there, points, grids and axes that are
+    /// none.
     #[test]
     fn forged_bytes_are_refused_or_a_template(
-        back in 16_usize..1200, value in prop_oneof![any::<u64>(), any::<f64>().prop_map(f64::to_bits), 0..40_u64],
+        back in 16_usize..1200,
+        value in prop_oneof![any::<u64>(), any::<f64>().prop_map(f64::to_bits), 0..40_u64],
     ) {
         let made = template(block(DVec3::ZERO, DVec3::ONE, 1));
         let symmetries = made.find_symmetries(TOLERANCE_MM);
@@ -171,7 +173,10 @@ proptest! {
         if let Ok(template) = Template::from_bytes(&bytes) {
             prop_assert!(template.points_mm().iter().all(|p| p.is_finite()));
             prop_assert!(template.normals().iter().all(|n| (n.length() - 1.0).abs() < 1e-8));
-            prop_assert!(template.symmetries().iter().all(|s| (s.axis.length() - 1.0).abs() < 1e-8 && s.order != Some(1)));
+            prop_assert!(template
+                .symmetries()
+                .iter()
+                .all(|s| (s.axis.length() - 1.0).abs() < 1e-8 && s.order != Some(1)));
             // Places that were made one are one from then on.
             let kept = template.to_bytes();
             prop_assert!(Template::from_bytes(&kept).is_ok_and(|again| again.to_bytes() == kept));
@@ -180,7 +185,8 @@ proptest! {
 
     #[test]
     fn a_prism_has_the_axes_of_its_polygon_wherever_it_stands(
-        n in 3_usize..12, omega in prop::array::uniform3(-3.0..3.0), shift in prop::array::uniform3(-50.0..50.0),
+        n in 3_usize..12, omega in prop::array::uniform3(-3.0..3.0),
+        shift in prop::array::uniform3(-50.0..50.0),
     ) {
         let pose = Pose::exp(DVec3::from_array(omega), DVec3::from_array(shift));
         let template = template(moved(prism(n, 7.0, |_| 5.0), &pose));
@@ -209,7 +215,8 @@ fn axes_are_those_of_the_shape() {
     assert_eq!(round.iter().map(|s| s.order).collect::<Vec<_>>(), [None, Some(2)]);
     assert!(round[0].axis.distance(DVec3::Z) < 1e-9 && round[1].axis.z.abs() < 1e-9);
     assert_eq!(orders(&template(prism(16, 7.0, |_| 5.0)))[0], Some(16));
-    // 17 turns bring the corners of these to within 0.018 mm of a face once, 8 of them do not; nor do 29 of 24.
+    // 17 turns bring the corners of these to within 0.018 mm of a face once, 8 of them do not; nor do 29 of
+    // 24.
     assert_eq!(orders(&template(prism(16, 7.0, |_| 4.0)))[0], Some(16));
     assert_eq!(orders(&template(prism(24, 7.0, |_| 4.0)))[0], Some(24));
     // 34 facets of 0.043 mm, which turns by the golden section seldom meet.

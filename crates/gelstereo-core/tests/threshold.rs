@@ -66,8 +66,9 @@ fn the_fixed_threshold_misses_faint_dots() {
     assert_eq!(detect(&fixed, &image, 640).unwrap(), Markers::default());
 }
 
-/// A gel without markers gives none, at any noise, also where the light falls by 90 levels across the image: beside the
-/// border the mirrored background is off by 14 px of slope, which steeper light would show as a marker.
+/// A gel without markers gives none, at any noise, also where the light falls by 90 levels across the image:
+/// beside the border the mirrored background is off by 14 px of slope, which steeper light would show as a
+/// marker.
 #[test]
 fn a_blank_gel_gives_no_markers() {
     for (seed, noise) in (1..).zip([0.3, 0.7, 1.0, 2.0, 5.0, 18.0, 40.0]) {
@@ -83,7 +84,8 @@ fn a_blank_gel_gives_no_markers() {
     }
 }
 
-/// Uniform, black and saturated images, and those with a dead row, column or corner, are refused or have no markers.
+/// Uniform, black and saturated images, and those with a dead row, column or corner, are refused or have no
+/// markers.
 #[test]
 fn row_30_images_without_markers_give_none_or_are_refused() {
     for background in [Background::Gaussian, Background::Blocks] {
@@ -103,8 +105,8 @@ fn row_30_images_without_markers_give_none_or_are_refused() {
     }
 }
 
-/// White noise of known strength, with markers and a slope that must not count. The median of 9 500 neighbouring
-/// responses is good to some 3 %; rounding adds 1/12 to the variance.
+/// White noise of known strength, with markers and a slope that must not count. The median of 9 500
+/// neighbouring responses is good to some 3 %; rounding adds 1/12 to the variance.
 #[test]
 fn noise_is_measured_beside_markers() {
     for sigma in [1.0, 2.0, 5.0, 18.0_f64] {
@@ -112,7 +114,8 @@ fn noise_is_measured_beside_markers() {
         let expected = (sigma * sigma + 1.0 / 12.0).sqrt();
         let bare = NoiseLevel::default().sigma_levels(view(&blank(640, 480, sigma, 3), 640));
         assert!((bare / expected - 1.0).abs() < 0.05, "{sigma}: {bare}");
-        // Up to a third of the responses have an edge in them, which moves the median by that share of its quantile.
+        // Up to a third of the responses have an edge in them, which moves the median by that share of its
+        // quantile.
         let found = NoiseLevel::default().sigma_levels(view(&dots.render(), 640));
         assert!(found > 0.95 * expected && found < 1.9 * expected, "{sigma}: {found}");
     }
@@ -132,8 +135,8 @@ fn images() -> impl Strategy<Value = (Vec<u8>, usize)> {
         .prop_flat_map(|(width, height)| (prop::collection::vec(any::<u8>(), width * height), Just(width)))
 }
 
-/// Row 31 for the filter of whole levels: an impulse keeps its mass to the rounding of nine pixels, and its variance, half
-/// a pixel squared on each axis.
+/// Row 31 for the filter of whole levels: an impulse keeps its mass to the rounding of nine pixels, and its
+/// variance, half a pixel squared on each axis.
 #[test]
 fn row_31_the_smoother_has_the_mass_and_variance_of_its_kernel() {
     let mut image = [0_u8; 9 * 9];
@@ -151,23 +154,29 @@ fn row_31_the_smoother_has_the_mass_and_variance_of_its_kernel() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 200, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Within a level of the exact mean: each of four roundings is half a level at most, and later ones halve earlier ones.
+    /// Within a level of the exact mean: each of four roundings is half a level at most, and later ones halve
+    /// earlier ones.
     #[test]
     fn the_smoother_is_its_definition((image, width) in images(), bright in any::<bool>()) {
         let polarity = if bright { Polarity::Bright } else { Polarity::Dark };
         let level = |v: u8| f64::from(if bright { 255 - v } else { v });
         let height = image.len() / width;
         let found = smoothed(&image, width, 3, polarity);
-        prop_assert_eq!(smoothed(&image, width, 1, polarity).iter().map(|&v| f64::from(v)).collect::<Vec<_>>(),
-            image.iter().map(|&v| level(v)).collect::<Vec<_>>());
+        prop_assert_eq!(
+            smoothed(&image, width, 1, polarity).iter().map(|&v| f64::from(v)).collect::<Vec<_>>(),
+            image.iter().map(|&v| level(v)).collect::<Vec<_>>()
+        );
         for y in 0..height {
             for x in 0..width {
-                let exact: f64 = (0..9).map(|n| {
-                    let (dx, dy) = (n % 3 - 1, n / 3 - 1);
-                    let weight = f64::from((2 - i32::abs(dx)) * (2 - i32::abs(dy))) / 16.0;
-                    let at = reflect101(y as isize + dy as isize, height) * width + reflect101(x as isize + dx as isize, width);
-                    weight * level(image[at])
-                }).sum();
+                let exact: f64 = (0..9)
+                    .map(|n| {
+                        let (dx, dy) = (n % 3 - 1, n / 3 - 1);
+                        let weight = f64::from((2 - i32::abs(dx)) * (2 - i32::abs(dy))) / 16.0;
+                        let at = reflect101(y as isize + dy as isize, height) * width
+                            + reflect101(x as isize + dx as isize, width);
+                        weight * level(image[at])
+                    })
+                    .sum();
                 prop_assert!((f64::from(found[y * width + x]) - exact).abs() <= 1.0);
             }
         }
@@ -191,7 +200,8 @@ proptest! {
         }
     }
 
-    /// Surround and depth of every block, also of those cut by the right and lower border, by their definitions.
+    /// Surround and depth of every block, also of those cut by the right and lower border, by their
+    /// definitions.
     #[test]
     fn blocks_are_means_and_minima((image, width) in images(), radius in 0..4_isize) {
         let height = image.len() / width;
@@ -202,16 +212,21 @@ proptest! {
         blocks.finish(radius as usize);
         let pixels = |bx: usize, by: usize| -> Vec<u8> {
             (by * BLOCK_PX..((by + 1) * BLOCK_PX).min(height))
-                .flat_map(|y| image[y * width + bx * BLOCK_PX..y * width + ((bx + 1) * BLOCK_PX).min(width)].to_vec())
+                .flat_map(|y| {
+                    image[y * width + bx * BLOCK_PX..y * width + ((bx + 1) * BLOCK_PX).min(width)].to_vec()
+                })
                 .collect()
         };
         let depths: Vec<u16> = blocks.depths(7).collect();
         for by in 0..rows {
             for bx in 0..cols {
-                let means = (-radius..=radius).flat_map(|dy| (-radius..=radius).map(move |dx| (dx, dy))).map(|(dx, dy)| {
-                    let of = pixels(reflect101(bx as isize + dx, cols), reflect101(by as isize + dy, rows));
-                    of.iter().map(|&v| f64::from(v)).sum::<f64>() / of.len() as f64
-                });
+                let means = (-radius..=radius).flat_map(|dy| (-radius..=radius).map(move |dx| (dx, dy))).map(
+                    |(dx, dy)| {
+                        let of =
+                            pixels(reflect101(bx as isize + dx, cols), reflect101(by as isize + dy, rows));
+                        of.iter().map(|&v| f64::from(v)).sum::<f64>() / of.len() as f64
+                    },
+                );
                 let exact = 128.0 * means.sum::<f64>() / ((2 * radius + 1) * (2 * radius + 1)) as f64;
                 let background = blocks.background()[by * cols + bx];
                 // Half a last place for each block's mean and for the whole's.
@@ -222,16 +237,21 @@ proptest! {
         }
     }
 
-    /// Blocks against fixed thresholds: the mask is the comparison of smoothed pixels with their blocks' backgrounds.
+    /// Blocks against fixed thresholds: the mask is the comparison of smoothed pixels with their blocks'
+    /// backgrounds.
     #[test]
     fn the_mask_of_blocks_is_its_definition((image, width) in images(), threshold_levels in 1..60_u8) {
         let params = DetectParams {
-            background: Background::Blocks, background_kernel_px: 17, threshold_levels, min_area_px2: 1,
+            background: Background::Blocks,
+            background_kernel_px: 17,
+            threshold_levels,
+            min_area_px2: 1,
             ..DetectParams::default()
         };
         let mut detector = Detector::new(&params);
         prop_assume!(detector.run(view(&image, width), &mut Markers::default()).is_ok());
-        let (smooth, mut blocks, mut mask) = (smoothed(&image, width, 3, Polarity::Dark), Blocks::default(), Vec::new());
+        let (smooth, mut blocks, mut mask) =
+            (smoothed(&image, width, 3, Polarity::Dark), Blocks::default(), Vec::new());
         detector.mask(&mut mask);
         blocks.start(width, image.len() / width);
         smooth.chunks(BLOCK_PX * width).for_each(|rows| blocks.push(rows));

@@ -21,6 +21,7 @@ fn start(filled: &[usize]) -> (Tracker, Tracks, Vec<DVec2>) {
         positions_px: truth.clone(),
         detection: (0..truth.len()).map(|n| (!filled.contains(&n)).then_some(n as u32)).collect(),
         pitch_px: PITCH,
+        left_out: [0; 4],
     };
     let (mut tracker, mut tracks) = (Tracker::new(&TrackParams::default()), Tracks::default());
     tracker.initialise(&rest, &Markers::at(truth.clone(), 0.1), &mut tracks);
@@ -56,7 +57,8 @@ fn a_filled_in_marker_is_held_for_ever_and_moves_with_its_neighbours() {
 #[test]
 fn an_unseen_marker_is_held_then_lost_then_found_where_its_neighbours_went() {
     let (mut tracker, mut tracks, truth) = start(&[]);
-    // Out of sight for 20 frames while the gel moves by three pitches in all: frozen, it would meet another marker.
+    // Out of sight for 20 frames while the gel moves by three pitches in all: frozen, it would meet another
+    // marker.
     for step in 1..=20 {
         let shift = DVec2::new(0.15 * PITCH, 0.0) * f64::from(step);
         tracker.run(&frame(&truth, &[312], |p| p + shift), &mut tracks);
@@ -142,11 +144,12 @@ fn row_35_positions_do_not_drift_while_markers_flicker() {
 proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// At most 5 + 0.005 x 210 px on each axis, below the gate of 8.78 px: whatever is missing, every other marker keeps
-    /// its own detection.
+    /// At most 5 + 0.005 x 210 px on each axis, below the gate of 8.78 px: whatever is missing, every other
+    /// marker keeps its own detection.
     #[test]
     fn motion_within_the_gate_keeps_every_identity(
-        shift_x in -5.0..5.0_f64, shift_y in -5.0..5.0_f64, stretch in -0.005..0.005_f64, missing in 0..40_usize, seed: u64,
+        shift_x in -5.0..5.0_f64, shift_y in -5.0..5.0_f64, stretch in -0.005..0.005_f64,
+        missing in 0..40_usize, seed: u64,
     ) {
         let (mut tracker, mut tracks, truth) = start(&[]);
         let mut stream = Stream::new(seed, "missing");
@@ -163,14 +166,16 @@ proptest! {
         }
     }
 
-    /// Spots anywhere, from one for every five markers to four for each: none is a marker, and the lattice is found again.
+    /// Spots anywhere, from one for every five markers to four for each: none is a marker, and the lattice is
+    /// found again.
     #[test]
     fn row_48_spots_anywhere_are_no_markers(per_marker in 0.2..4.0_f64, frames in 1..4_usize, seed: u64) {
         let (mut tracker, mut tracks, truth) = start(&[]);
         let mut stream = Stream::new(seed, "spots");
         for _ in 0..frames {
             let mut anywhere = |size: f64| (size + 80.0) * stream.uniform() - 40.0;
-            let spots = (0..(per_marker * 625.0) as usize).map(|_| DVec2::new(anywhere(640.0), anywhere(480.0)));
+            let spots =
+                (0..(per_marker * 625.0) as usize).map(|_| DVec2::new(anywhere(640.0), anywhere(480.0)));
             tracker.run(&Markers::at(spots.collect(), 0.1), &mut tracks);
             prop_assert!(tracks.state.iter().all(|&s| s == MarkerState::Held));
         }
@@ -187,6 +192,52 @@ proptest! {
         tracker.run(&frame(&truth, &without, |p| p + DVec2::new(step, step)), &mut tracks);
         for n in (0..625).filter(|n| !without.contains(n)) {
             prop_assert_eq!(tracks.state[n], MarkerState::Seen);
+        }
+    }
+}
+
+proptest! {
+    /// With a gate of nearly a pitch a hidden marker's nearest detection is its neighbour's: it stays without
+    /// one.
+    #[test]
+    fn no_detection_is_given_to_two_markers(
+        gate_pitches in 0.5..0.95_f64, shift in (0.0..0.3_f64, 0.0..6.3_f64),
+        hidden in prop::collection::vec(0..625_usize, 0..40),
+    ) {
+        let truth = paper_lattice();
+        let rest = RestLattice {
+            rows: 25,
+            cols: 25,
+            positions_px: truth.clone(),
+            detection: (0..truth.len()).map(|n| Some(n as u32)).collect(),
+            pitch_px: PITCH,
+            left_out: [0; 4],
+        };
+        let params = TrackParams { gate_pitches, ..TrackParams::default() };
+        let (mut tracker, mut tracks) = (Tracker::new(&params), Tracks::default());
+        tracker.initialise(&rest, &Markers::at(truth.clone(), 0.1), &mut tracks);
+        let shift = DVec2::from_angle(shift.1) * (shift.0 * PITCH);
+        tracker.run(&frame(&truth, &hidden, |p| p + shift), &mut tracks);
+        for (n, &state) in tracks.state.iter().enumerate() {
+            let expected = if hidden.contains(&n) { MarkerState::Held } else { MarkerState::Seen };
+            prop_assert_eq!(state, expected, "{}", n);
+            let is_there = tracks.positions_px[n] == truth[n] + shift;
+            prop_assert!(is_there || hidden.contains(&n), "{n}");
+        }
+    }
+}
+
+/// A marker has the covariance of its own last detection, and keeps it while it is hidden.
+#[test]
+fn covariances_are_those_of_the_last_detections() {
+    let (mut tracker, mut tracks, truth) = start(&[]);
+    for step in 1..=4 {
+        let sigma_px = 0.1 * f64::from(step);
+        let centres_px = frame(&truth, &[312], |p| p).centres_px;
+        tracker.run(&Markers::at(centres_px, sigma_px), &mut tracks);
+        for (n, covariance) in tracks.covariance_px2.iter().enumerate() {
+            let sigma_px = if n == 312 { 0.1 } else { sigma_px };
+            assert_eq!(*covariance, [[sigma_px * sigma_px, 0.0], [0.0, sigma_px * sigma_px]], "{step} {n}");
         }
     }
 }

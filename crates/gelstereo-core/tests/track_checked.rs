@@ -37,8 +37,8 @@ fn grip(share: f64) -> Warp {
     }
 }
 
-/// What is known to be nearest need not be searched for: whatever is said to be seen near a marker, right or wrong, the tracks
-/// are those of a search, to the bit, as long as no two detections are closer than is said.
+/// What is known to be nearest need not be searched for: whatever is said to be seen near a marker, right or
+/// wrong, the tracks are those of a search, to the bit, as long as no two detections are closer than is said.
 #[test]
 fn sights_change_no_bit() {
     let mut used = 0;
@@ -179,8 +179,8 @@ fn motion() -> impl Strategy<Value = Motion> {
 proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, cases: 32, ..ProptestConfig::default() })]
 
-    /// Gripped and let go, with every fifth frame dropped: no marker is taken for another, and at most one in ten
-    /// thousand is taken to stand on a speck or a merged pair.
+    /// Gripped and let go, with every fifth frame dropped: no marker is taken for another, and at most one in
+    /// ten thousand is taken to stand on a speck or a merged pair.
     #[test]
     fn grips_seen_badly_mislabel_nothing(
         grip in gripped(), seeing in seeing(), frames in 12..40_u32, motion in motion(), seed: u64,
@@ -199,8 +199,8 @@ proptest! {
     /// The lattice jumps by up to 1.3 pitches from any frame to the next, rows leave the view and come back.
     #[test]
     fn jumps_seen_badly_mislabel_nothing(
-        jumps in prop::collection::vec((0.0..1.3_f64, 0.0..std::f64::consts::TAU), 1..40), aside in 0.0..60.0_f64,
-        seeing in seeing(), motion in motion(), seed: u64,
+        jumps in prop::collection::vec((0.0..1.3_f64, 0.0..std::f64::consts::TAU), 1..40),
+        aside in 0.0..60.0_f64, seeing in seeing(), motion in motion(), seed: u64,
     ) {
         let mut run = Run::start(&params(motion), &Warp::new(), seeing.unprinted, seed);
         let mut shift_px = DVec2::ZERO;
@@ -220,8 +220,8 @@ proptest! {
     }
 }
 
-/// The border is all that tells a whole pitch: when it is hidden together with a jump, everything is held, and found
-/// again when it shows.
+/// The border is all that tells a whole pitch: when it is hidden together with a jump, everything is held,
+/// and found again when it shows.
 #[test]
 fn a_jump_with_the_border_hidden_is_held() {
     let mut run = start(Motion::Still, 5);
@@ -235,7 +235,8 @@ fn a_jump_with_the_border_hidden_is_held() {
     step_complete(&mut run, &Warp { shift_px, ..Warp::new() }, &Seeing::default());
 }
 
-/// Two rows at once, the last two of them out of view: of the shifts by one row the nearest looked best, and was taken.
+/// Two rows at once, the last two of them out of view: of the shifts by one row the nearest looked best, and
+/// was taken.
 #[test]
 fn a_move_by_two_rows_is_no_move_by_one() {
     for motion in MOTIONS {

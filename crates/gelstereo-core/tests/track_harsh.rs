@@ -1,6 +1,6 @@
-//! Everything at once: a fifth to a quarter of the markers missing in every frame, twenty merged pairs, a smear of 90 to 320
-//! px that may move, narrow contacts that squeeze the lattice to half a pitch, jumps, and every fifth frame dropped. Much
-//! is held then; nothing is taken for another marker.
+//! Everything at once: a fifth to a quarter of the markers missing in every frame, twenty merged pairs, a
+//! smear of 90 to 320 px that may move, narrow contacts that squeeze the lattice to half a pitch, jumps, and
+//! every fifth frame dropped. Much is held then; nothing is taken for another marker.
 
 use crate::support;
 
@@ -112,29 +112,29 @@ fn play_all(seeds: impl IntoIterator<Item = u64>) -> Score {
     score
 }
 
-/// Beyond a zone that bent too far to be followed lies an island of markers in agreement, a pitch off. Once nothing ties it
-/// to the others, it may not be claimed.
+/// Beyond a zone that bent too far to be followed lies an island of markers in agreement, a pitch off. Once
+/// nothing ties it to the others, it may not be claimed.
 #[test]
 fn an_island_beyond_torn_gel_is_held() {
     play_all([17, 31, 40]);
 }
 
-/// The border row was detected, but too sparsely to be matched where it was not expected; without it a shift by one row or
-/// three explained the matches best, and all markers were taken for others.
+/// The border row was detected, but too sparsely to be matched where it was not expected; without it a shift
+/// by one row or three explained the matches best, and all markers were taken for others.
 #[test]
 fn detections_that_match_nothing_count_against_a_shift() {
     play_all([67, 245, 278]);
 }
 
-/// All had moved alike, so that an island was believed where it was expected: but its markers had been hidden for frames,
-/// and in gel that was squeezed to half a pitch the expectation was wrong by one.
+/// All had moved alike, so that an island was believed where it was expected: but its markers had been hidden
+/// for frames, and in gel that was squeezed to half a pitch the expectation was wrong by one.
 #[test]
 fn an_island_of_markers_that_were_hidden_is_held() {
     play_all([491, 1281]);
 }
 
-/// Far from all matches nobody knows where a place is: rows extrapolated over half the lattice looked occupied, and hid that a
-/// border row was missing.
+/// Far from all matches nobody knows where a place is: rows extrapolated over half the lattice looked
+/// occupied, and hid that a border row was missing.
 #[test]
 fn places_far_from_all_matches_say_nothing_about_a_shift() {
     play_all([999]);

@@ -21,7 +21,8 @@ proptest! {
         let at = DVec3::new(x, y, z);
         let (left, right) = rig.project(at).unwrap();
         let found = point(&triangulator(&rig), left, right).unwrap();
-        // 1e-13 px of round-off in each pixel is z^2 / (f B) = 0.36 mm/px of depth at most: 1e-12 leaves a factor 10.
+        // 1e-13 px of round-off in each pixel is z^2 / (f B) = 0.36 mm/px of depth at most: 1e-12 leaves a
+        // factor 10.
         prop_assert!((found.point_mm - at).length() < 1e-12 * 40.0, "{found:?} for {at:?}");
         prop_assert!(found.epipolar_px.abs() < 1e-10);
     }
@@ -35,7 +36,8 @@ proptest! {
             let at = DVec3::new(x, y, z);
             let Ok((left, right)) = rig.project(at) else { continue };
             let found = point(&stage_without_map(&rig), left, right).unwrap();
-            // As for Q; through layers some 10 roundings more, each of an ulp of 40 mm, times depth over baseline, 5.
+            // As for Q; through layers some 10 roundings more, each of an ulp of 40 mm, times depth over
+            // baseline, 5.
             prop_assert!((found.point_mm - at).length() < 1e-11 * 40.0, "{found:?} for {at:?}");
             prop_assert!(found.epipolar_px.abs() < 1e-9);
         }
@@ -45,12 +47,14 @@ proptest! {
     #[test]
     fn rays_give_the_least_squares(
         x in -8.0..8.0_f64, y in -8.0..8.0_f64, z in 25.0..33.0_f64,
-        noise in prop::array::uniform4(-0.5..0.5_f64), sigmas in prop::array::uniform4(0.01..0.5_f64), correlation in -0.9..0.9_f64,
+        noise in prop::array::uniform4(-0.5..0.5_f64), sigmas in prop::array::uniform4(0.01..0.5_f64),
+        correlation in -0.9..0.9_f64,
     ) {
         for rig in [turned_rig(), layered_rig()] {
             let Ok((left, right)) = rig.project(DVec3::new(x, y, z)) else { continue };
-            let centre = |at: DVec2, [a, b]: [f64; 2]| {
-                Centre { at_px: at, covariance_px2: [[a * a, correlation * a * b], [correlation * a * b, b * b]] }
+            let centre = |at: DVec2, [a, b]: [f64; 2]| Centre {
+                at_px: at,
+                covariance_px2: [[a * a, correlation * a * b], [correlation * a * b, b * b]],
             };
             let centres = [
                 centre(left + DVec2::new(noise[0], noise[1]), [sigmas[0], sigmas[1]]),
@@ -67,7 +71,9 @@ proptest! {
                 total += e.length();
             }
             // A thousandth of the standard deviation may be left.
-            let step = DVec3::from_array(core::array::from_fn(|i| DVec3::from_array(found.covariance_mm2[i]).dot(slope)));
+            let step = DVec3::from_array(core::array::from_fn(|i| {
+                DVec3::from_array(found.covariance_mm2[i]).dot(slope)
+            }));
             prop_assert!(step.dot(slope).max(0.0).sqrt() < 1e-3, "{step:?}");
             // The reported residual is linearised before the last step.
             prop_assert!((found.epipolar_px.abs() - total).abs() < 1e-4, "{found:?} {total}");
@@ -77,7 +83,8 @@ proptest! {
     /// Any two pixels are a finite point with a finite covariance, or an error.
     #[test]
     fn any_pair_of_pixels_has_an_answer(
-        left in (-2e3..3e3_f64, -2e3..3e3_f64), right in (-2e3..3e3_f64, -2e3..3e3_f64), sigma_px in 1e-6..1e3_f64,
+        left in (-2e3..3e3_f64, -2e3..3e3_f64), right in (-2e3..3e3_f64, -2e3..3e3_f64),
+        sigma_px in 1e-6..1e3_f64,
     ) {
         for rig in [parallel(), turned_rig(), layered_rig()] {
             for method in ALL {
@@ -93,12 +100,12 @@ proptest! {
         }
     }
 
-    /// Within its reach the map is within 1 um of the exact point, its residual within 0.01 px and its covariance
-    /// within 3 %.
+    /// Within its reach the map is within 1 um of the exact point, its residual within 0.01 px and its
+    /// covariance within 3 %.
     #[test]
     fn the_polynomial_is_within_a_micrometre_of_the_rays(
-        x in -1.0..9.0_f64, y in -5.0..5.0_f64, shift in prop::array::uniform2(-1.7..1.7_f64), up in -0.6..2.5_f64,
-        noise in -0.03..0.03_f64,
+        x in -1.0..9.0_f64, y in -5.0..5.0_f64, shift in prop::array::uniform2(-1.7..1.7_f64),
+        up in -0.6..2.5_f64, noise in -0.03..0.03_f64,
     ) {
         for (rig, map) in maps() {
             let at = DVec3::new(x + shift[0], y + shift[1], 29.0 - up);
@@ -108,9 +115,16 @@ proptest! {
             prop_assert!(found.epipolar_px.abs() < 0.01);
             // Both share the noise along the rows alike, to first order: 0.03 px is 1.5 um.
             let right = right + DVec2::new(0.0, noise);
-            let (found, exact) = (point(map, left, right).unwrap(), point(&stage_without_map(rig), left, right).unwrap());
-            prop_assert!((found.point_mm - exact.point_mm).length() < 1e-3 + 0.05 * 1.5e-3, "{found:?} {exact:?}");
-            prop_assert!((found.epipolar_px - exact.epipolar_px).abs() < 0.01 + 0.05 * noise.abs(), "{found:?} {exact:?}");
+            let (found, exact) =
+                (point(map, left, right).unwrap(), point(&stage_without_map(rig), left, right).unwrap());
+            prop_assert!(
+                (found.point_mm - exact.point_mm).length() < 1e-3 + 0.05 * 1.5e-3,
+                "{found:?} {exact:?}"
+            );
+            prop_assert!(
+                (found.epipolar_px - exact.epipolar_px).abs() < 0.01 + 0.05 * noise.abs(),
+                "{found:?} {exact:?}"
+            );
             for i in 0..3 {
                 for j in 0..3 {
                     let scale = (exact.covariance_mm2[i][i] * exact.covariance_mm2[j][j]).sqrt();
@@ -183,8 +197,8 @@ fn a_map_fitted_step_by_step_is_the_map() {
     }
 }
 
-/// The first-order covariance against 20000 draws, on every rung. The sample variance of n normal numbers has a
-/// relative standard deviation of sqrt(2 / n) = 1 %; 5 % is five of them.
+/// The first-order covariance against 20000 draws, on every rung. The sample variance of n normal numbers has
+/// a relative standard deviation of sqrt(2 / n) = 1 %; 5 % is five of them.
 #[test]
 fn covariance_agrees_with_monte_carlo() {
     let cases =
@@ -327,4 +341,19 @@ fn centres_that_make_no_pair_are_refused_by_name() {
     // Rows 300 px apart are 15 mm apart in space: an answer, with a residual that says so, or a refusal.
     let far = stage.point(3, &centre(at[0], 0.1), &centre(right + DVec2::new(0.0, 250.0), 0.1));
     assert!(far.is_err() || far.unwrap().epipolar_px.abs() > 200.0);
+}
+
+/// A map in progress belongs to the rest surface before: after clearing it nothing is fitted any more.
+#[test]
+fn a_cleared_map_is_not_finished() {
+    let rig = layered_rig();
+    let params = TriangulateParams { method: TriangulateMethod::Polynomial, ..Default::default() };
+    let mut stepped = Triangulator::new(&rig, &params).unwrap();
+    for steps in 0..4 {
+        stepped.begin_map(&rest());
+        (0..steps).for_each(|_| assert!(stepped.continue_map()));
+        stepped.clear_map();
+        assert!(!stepped.continue_map(), "{steps} steps");
+        assert_eq!(stepped.map_error_mm(), None);
+    }
 }

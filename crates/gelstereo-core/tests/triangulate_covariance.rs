@@ -45,8 +45,8 @@ fn absurd_rigs() -> impl Strategy<Value = (Rig, [DVec2; 2])> {
     })
 }
 
-/// Why a covariance is none, if so: it must be equal to its transpose to the bit, and have no eigenvalue below 0 by more
-/// than the rounding of its entries, some ulp of the largest.
+/// Why a covariance is none, if so: it must be equal to its transpose to the bit, and have no eigenvalue
+/// below 0 by more than the rounding of its entries, some ulp of the largest.
 fn no_covariance(c: &[[f64; 3]; 3]) -> Option<String> {
     let symmetric = (0..3).all(|i| (0..3).all(|j| c[i][j].to_bits() == c[j][i].to_bits()));
     let least = eigen(c).values[0];
@@ -59,7 +59,8 @@ proptest! {
     /// Whatever the rig, the covariance of a point is one, or the point is refused.
     #[test]
     fn row_32_covariances_are_semi_definite_whatever_the_rig(
-        (rig, [left, right]) in absurd_rigs(), sigmas in prop::array::uniform4(1e-3..1.0_f64), correlation in -0.999..0.999_f64,
+        (rig, [left, right]) in absurd_rigs(), sigmas in prop::array::uniform4(1e-3..1.0_f64),
+        correlation in -0.999..0.999_f64,
     ) {
         for method in ALL {
             let params = TriangulateParams { method, min_disparity_px: 1e-9, ..Default::default() };

@@ -55,8 +55,8 @@ fn markers_are_found_in_windows_as_in_the_whole_image() {
     }
 }
 
-/// The fit from a window's centre, with the usual marker's form, errs by a tenth more at most than the fit from a
-/// component's mean position and spread.
+/// The fit from a window's centre, with the usual marker's form, errs by a tenth more at most than the fit
+/// from a component's mean position and spread.
 #[test]
 fn fits_from_windows_are_as_good_as_those_of_the_whole_image() {
     let truth = paper_lattice();
@@ -157,12 +157,11 @@ proptest! {
     #[test]
     fn any_image_is_searched_alike_twice(
         (width, bytes) in (16..80_usize, 12..60_usize).prop_flat_map(|(width, height)| {
-            (Just(width), prop::collection::vec(prop_oneof![5 => Just(200_u8), 1 => Just(40), 1 => any::<u8>()],
-                width * height))
+            let level = prop_oneof![5 => Just(200_u8), 1 => Just(40), 1 => any::<u8>()];
+            (Just(width), prop::collection::vec(level, width * height))
         }),
         dots in prop::collection::vec((0.0..80.0_f64, 0.0..60.0_f64), 0..6),
-        at in prop::collection::vec((-10.0..90.0_f64, -10.0..70.0_f64), 1..12),
-        reach_px in 0.0..40.0_f64,
+        at in prop::collection::vec((-10.0..90.0_f64, -10.0..70.0_f64), 1..12), reach_px in 0.0..40.0_f64,
     ) {
         let mut bytes = bytes;
         for (x, y) in dots {
@@ -188,7 +187,9 @@ proptest! {
         }
         prop_assert_eq!(taken.len(), found.markers.centres_px.len());
         for (n, a) in found.markers.centres_px.iter().enumerate() {
-            prop_assert!(found.markers.centres_px[..n].iter().all(|b| a.distance(*b) > found.apart_px * (1.0 - 1e-9)));
+            prop_assert!(found.markers.centres_px[..n]
+                .iter()
+                .all(|b| a.distance(*b) > found.apart_px * (1.0 - 1e-9)));
             prop_assert!(found.apart_px > 1.0);
         }
         let inverted: Vec<u8> = bytes.iter().map(|level| 255 - level).collect();

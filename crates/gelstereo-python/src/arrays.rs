@@ -3,12 +3,14 @@
 
 use crate::errors::{ImageError, PoseError, ShapeError, raise};
 use bytemuck::{AnyBitPattern, NoUninit};
+use gelstereo_core::color::ColorView;
 use gelstereo_core::image::GrayView;
 use gelstereo_core::math::Pose;
+use gelstereo_core::params::{Channel, DetectParams};
 use numpy::ndarray::{Array, ShapeBuilder, StrideShape};
 use numpy::{
     Element, IntoPyArray, PyArray, PyArray1, PyArray2, PyArrayDescrMethods, PyArrayDyn, PyArrayMethods,
-    PyReadonlyArray2, PyReadonlyArrayDyn, PyUntypedArray, PyUntypedArrayMethods,
+    PyReadonlyArrayDyn, PyUntypedArray, PyUntypedArrayMethods,
 };
 use pyo3::exceptions::PyOverflowError;
 use pyo3::prelude::*;
@@ -163,50 +165,108 @@ pub fn pose(object: &Bound<'_, PyAny>, name: &'static str) -> PyResult<Pose> {
     Pose::from_rows(&values).map_err(|e| PoseError::new_err(format!("{name}: {e}")))
 }
 
-/// An image, borrowed if its rows are contiguous, copied otherwise (a slice of a larger image, every
-/// second pixel, a flipped view).
+/// An image, grey or in colour, borrowed if its rows are contiguous, copied otherwise (a slice of a larger
+/// image, every second pixel, a flipped view).
 pub enum Image<'py> {
-    Borrowed(PyReadonlyArray2<'py, u8>),
-    Copied { bytes: Vec<u8>, height: usize, width: usize },
+    Grey(Pixels<'py>),
+    Color(Pixels<'py>),
+}
+
+/// The bytes of an image, row by row.
+pub struct Pixels<'py> {
+    bytes: Bytes<'py>,
+    height: usize,
+    width: usize,
+}
+
+enum Bytes<'py> {
+    Borrowed(PyReadonlyArrayDyn<'py, u8>),
+    Copied(Vec<u8>),
+}
+
+impl Pixels<'_> {
+    fn bytes(&self) -> PyResult<&[u8]> {
+        match &self.bytes {
+            Bytes::Borrowed(array) => Ok(array.as_slice()?),
+            Bytes::Copied(bytes) => Ok(bytes),
+        }
+    }
 }
 
 impl<'py> Image<'py> {
     pub fn new(object: &Bound<'py, PyAny>, name: &str) -> PyResult<Self> {
         let fail = |found: String, hint: &str| {
-            ImageError::new_err(format!("{name} is {found}; valid is a uint8 array (height, width){hint}"))
+            ImageError::new_err(format!(
+                "{name} is {found}; valid is a uint8 array (height, width), or (height, width, 3) of blue, \
+                 green and red{hint}"
+            ))
         };
         let Ok(array) = object.cast::<PyUntypedArray>() else {
             return Err(fail(describe(object), ": np.asarray() makes one"));
         };
-        if array.ndim() == 3 {
-            return Err(fail(describe(array), ": cv2.cvtColor() makes a colour image grey"));
+        let hint = match array.shape() {
+            [_, _] | [_, _, 3] => "",
+            [_, _, 4] => ": cv2.cvtColor() removes the alpha channel",
+            [_, _, 1] => ": image[..., 0] is a grey one",
+            _ => return Err(fail(describe(array), "")),
+        };
+        if !hint.is_empty() || array.dtype().kind() != b'u' || array.dtype().itemsize() != 1 {
+            return Err(fail(describe(array), hint));
         }
-        if array.ndim() != 2 || array.dtype().kind() != b'u' || array.dtype().itemsize() != 1 {
-            return Err(fail(describe(array), ""));
-        }
-        let array = array.cast::<PyArray2<u8>>()?.readonly();
-        if array.is_c_contiguous() {
-            return Ok(Self::Borrowed(array));
-        }
-        let view = array.as_array();
-        let (height, width) = view.dim();
-        let mut bytes = Vec::with_capacity(height * width);
-        for row in view.rows() {
-            // One half of a side-by-side frame has contiguous rows.
-            match row.as_slice() {
-                Some(row) => bytes.extend_from_slice(row),
-                None => bytes.extend(row.iter()),
-            }
-        }
-        Ok(Self::Copied { bytes, height, width })
+        let (height, width, color) = (array.shape()[0], array.shape()[1], array.ndim() == 3);
+        let array = array.cast::<PyArrayDyn<u8>>()?.readonly();
+        let bytes =
+            if array.is_c_contiguous() { Bytes::Borrowed(array) } else { Bytes::Copied(copied(&array)) };
+        let pixels = Pixels { bytes, height, width };
+        Ok(if color { Self::Color(pixels) } else { Self::Grey(pixels) })
     }
 
-    pub fn view(&self) -> PyResult<GrayView<'_>> {
-        let (bytes, height, width) = match self {
-            Self::Borrowed(array) => (array.as_slice()?, array.shape()[0], array.shape()[1]),
-            Self::Copied { bytes, height, width } => (bytes.as_slice(), *height, *width),
+    /// The best channel of a colour image for this print, and grey of a grey one.
+    pub fn best_channel(&self, params: &DetectParams) -> PyResult<Channel> {
+        match self {
+            Self::Grey(_) => Ok(Channel::Grey),
+            Self::Color(pixels) => Ok(color(pixels)?.best_channel(params)),
+        }
+    }
+
+    /// The grey image itself, or one channel of a colour image, which is written into `channel_levels`.
+    pub fn view<'a>(&'a self, channel: Channel, channel_levels: &'a mut Vec<u8>) -> PyResult<GrayView<'a>> {
+        let (pixels, bytes): (_, &[u8]) = match self {
+            Self::Grey(pixels) => (pixels, pixels.bytes()?),
+            Self::Color(pixels) => {
+                color(pixels)?.write(channel, channel_levels);
+                (pixels, channel_levels)
+            }
         };
-        GrayView::new(bytes, width, height, width).map_err(raise)
+        GrayView::new(bytes, pixels.width, pixels.height, pixels.width).map_err(raise)
+    }
+}
+
+fn color<'a>(pixels: &'a Pixels<'_>) -> PyResult<ColorView<'a>> {
+    ColorView::new(pixels.bytes()?, pixels.width, pixels.height, 3 * pixels.width).map_err(raise)
+}
+
+fn copied(array: &PyReadonlyArrayDyn<'_, u8>) -> Vec<u8> {
+    let view = array.as_array();
+    let mut bytes = Vec::with_capacity(view.len());
+    for row in view.outer_iter() {
+        // One half of a side-by-side frame has contiguous rows.
+        match row.as_slice() {
+            Some(row) => bytes.extend_from_slice(row),
+            None => bytes.extend(row.iter()),
+        }
+    }
+    bytes
+}
+
+/// The word of a channel in `detect.channel`.
+pub const fn channel_name(channel: Channel) -> &'static str {
+    match channel {
+        Channel::Auto => "auto",
+        Channel::Grey => "grey",
+        Channel::Red => "red",
+        Channel::Green => "green",
+        Channel::Blue => "blue",
     }
 }
 

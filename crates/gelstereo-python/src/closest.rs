@@ -231,8 +231,8 @@ impl Symmetry {
         let centre_mm = DVec3::from_array(Numbers::new(centre_mm, "centre_mm")?.vector::<3>()?);
         core::Symmetry::new(axis, centre_mm, order).map(Self::from).ok_or_else(|| {
             TemplateError::new_err(format!(
-                "an axis along {axis} through {centre_mm} of order {order:?}; valid is a finite direction that is not \
-                 zero, and an order of 2 or more, or None for any turn"
+                "an axis along {axis} through {centre_mm} of order {order:?}; valid is a finite direction \
+                 that is not zero, and an order of 2 or more, or None for any turn"
             ))
         })
     }

@@ -1,12 +1,10 @@
 //! Marker detection.
 
-use crate::arrays::{self, Array1, Image, Matrix, Numbers};
+use crate::arrays::{self, Array1, Image, Matrix};
 use crate::errors::raise;
 use crate::params::Params;
 use gelstereo_core::detect as core;
-use gelstereo_core::detect::{Found, WindowObservation};
-use gelstereo_core::math::DVec2;
-use gelstereo_core::params::{DetectParams, Polarity};
+use gelstereo_core::params::{Channel, DetectParams, Polarity};
 use numpy::{PyArray2, PyArray3};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -35,16 +33,30 @@ pub struct Markers {
     /// (K, 2, 2) covariances of these as estimates of the whole markers' centres, px².
     #[pyo3(get)]
     cut_covariance_px2: Py<PyArray3<f64>>,
+    /// Channel of a colour image in which they were found: ``"grey"``, ``"red"``, ``"green"`` or ``"blue"``;
+    /// ``"grey"`` for a grey image.
+    #[pyo3(get)]
+    channel: &'static str,
+    /// Share of the markers with two opposite neighbours at equal distance, as in the rows of a print;
+    /// ``None`` for fewer than nine markers. It is above 0.8 for most prints, and below 0.2 for clutter,
+    /// noise and prints of random dots.
+    #[pyo3(get)]
+    share_in_rows: Option<f64>,
+    is_in_rows: Option<bool>,
     count: usize,
 }
 
 impl Markers {
-    fn new(py: Python<'_>, found: core::Markers) -> PyResult<Self> {
+    fn new(py: Python<'_>, found: core::Markers, channel: Channel) -> PyResult<Self> {
+        let (share_in_rows, is_in_rows) = (found.share_in_rows(), found.is_in_rows());
         let cut = &found.cut;
         let cut_covariances = cut.iter().flat_map(|c| c.covariance_px2).flatten().collect();
         Ok(Self {
             cut_centres_px: arrays::rows::<_, 2>(py, cut.iter().map(|c| c.centre_px).collect())?,
             cut_covariance_px2: arrays::shaped(py, cut_covariances, (cut.len(), 2, 2))?,
+            channel: arrays::channel_name(channel),
+            share_in_rows,
+            is_in_rows,
             count: found.centres_px.len(),
             unfitted: found.unfitted,
             covariance_px2: arrays::shaped(
@@ -65,7 +77,12 @@ impl Markers {
     }
 
     fn __repr__(&self) -> String {
-        format!("<{} markers>", self.count)
+        match (self.share_in_rows, self.is_in_rows) {
+            (Some(share), Some(false)) => {
+                format!("<{} markers, {:.0} % of them in rows: no print>", self.count, 100.0 * share)
+            }
+            _ => format!("<{} markers>", self.count),
+        }
     }
 }
 
@@ -82,6 +99,17 @@ pub struct Detector {
     /// Boxed because its SIMD columns are aligned to 32 bytes, and Python aligns its objects to 16.
     stage: Box<Mutex<core::Detector>>,
     params: DetectParams,
+}
+
+impl Detector {
+    /// The channel of `detect.channel`, chosen by this image if that is ``"auto"``.
+    fn channel(&self, image: &Image<'_>) -> PyResult<Channel> {
+        match (image, self.params.channel) {
+            (Image::Grey(_), _) => Ok(Channel::Grey),
+            (Image::Color(_), Channel::Auto) => image.best_channel(&self.params),
+            (Image::Color(_), channel) => Ok(channel),
+        }
+    }
 }
 
 #[pymethods]
@@ -116,9 +144,11 @@ impl Detector {
     ///
     /// Parameters
     /// ----------
-    /// image : (H, W) uint8
-    ///     Grey image. It is borrowed when its memory is contiguous and copied otherwise (a crop of a
-    ///     wider image, a flipped view).
+    /// image : (H, W) or (H, W, 3) uint8
+    ///     Grey image, or colour image whose channels are blue, green and red, as OpenCV reads them;
+    ///     ``detect.channel`` selects one, and ``"auto"`` chooses by the contrast of the print in this image.
+    ///     It is borrowed when its memory is contiguous and copied otherwise (a crop of a wider image, a
+    ///     flipped view).
     ///
     /// Returns
     /// -------
@@ -127,66 +157,18 @@ impl Detector {
     /// Raises
     /// ------
     /// ImageError
-    ///     If the array is not a grey image.
+    ///     If the array is not an image.
     /// DetectError
     ///     If the image shows nothing that can be measured.
     fn detect(&self, py: Python<'_>, image: &Bound<'_, PyAny>) -> PyResult<Markers> {
         let image = Image::new(image, "image")?;
-        let view = image.view()?;
+        let (channel, mut levels) = (self.channel(&image)?, Vec::new());
+        let view = image.view(channel, &mut levels)?;
         let found = py.detach(|| {
             let mut out = core::Markers::default();
             self.stage.lock().unwrap_or_else(PoisonError::into_inner).run(view, &mut out).map(|()| out)
         });
-        Markers::new(py, found.map_err(raise)?)
-    }
-
-    /// Detect one marker near each expected position.
-    ///
-    /// Parameters
-    /// ----------
-    /// image : (H, W) uint8
-    ///     Grey image, as in `detect`.
-    /// expected_px : (N, 2)
-    ///     Expected marker positions, pixels.
-    /// reach_px : float
-    ///     Half width of the search window, pixels in both axes; at most 31. The whole marker must be inside.
-    ///
-    /// Returns
-    /// -------
-    /// markers : Markers
-    ///     Markers found, bit for bit as from `detect`.
-    /// sights : (N,) int64
-    ///     Index into `markers` for each position, each at most once. -1: no marker; -2: several markers; -3:
-    ///     undecided (parts of markers, something else, or a window outside the image).
-    ///
-    /// Raises
-    /// ------
-    /// ImageError, DetectError
-    ///     As `detect`.
-    fn detect_near(
-        &self,
-        py: Python<'_>,
-        image: &Bound<'_, PyAny>,
-        expected_px: &Bound<'_, PyAny>,
-        reach_px: f64,
-    ) -> PyResult<(Markers, Array1<i64>)> {
-        let image = Image::new(image, "image")?;
-        let view = image.view()?;
-        let expected_px = Numbers::new(expected_px, "expected_px")?.rows::<DVec2, 2>()?.to_vec();
-        let found = py.detach(|| {
-            let mut out = Found::default();
-            let mut stage = self.stage.lock().unwrap_or_else(PoisonError::into_inner);
-            stage.run_near(view, &expected_px, reach_px, &mut out).map(|()| out)
-        });
-        let found = found.map_err(raise::<core::DetectError>)?;
-        let sights = found.sights.iter().map(|sight| match sight {
-            WindowObservation::Marker(index) => i64::from(*index),
-            WindowObservation::Nothing => -1,
-            WindowObservation::Several => -2,
-            WindowObservation::Unclear => -3,
-        });
-        let sights = arrays::list(py, sights.collect());
-        Ok((Markers::new(py, found.markers)?, sights))
+        Markers::new(py, found.map_err(raise)?, channel)
     }
 
     /// Mask of the pixels with sufficient contrast to the local background, by ``detect.threshold`` and
@@ -194,8 +176,8 @@ impl Detector {
     ///
     /// Parameters
     /// ----------
-    /// image : (H, W) uint8
-    ///     Grey image, as in `detect`.
+    /// image : (H, W) or (H, W, 3) uint8
+    ///     Image, as in `detect`.
     ///
     /// Returns
     /// -------
@@ -207,7 +189,8 @@ impl Detector {
     ///     As `detect`.
     fn mask(&self, py: Python<'_>, image: &Bound<'_, PyAny>) -> PyResult<Py<PyArray2<bool>>> {
         let image = Image::new(image, "image")?;
-        let view = image.view()?;
+        let (channel, mut levels) = (self.channel(&image)?, Vec::new());
+        let view = image.view(channel, &mut levels)?;
         let mask = py.detach(|| {
             let mut stage = self.stage.lock().unwrap_or_else(PoisonError::into_inner);
             stage.run(view, &mut core::Markers::default())?;

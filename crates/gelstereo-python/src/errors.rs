@@ -12,8 +12,8 @@ create_exception!(
     gelstereo,
     Error,
     PyValueError,
-    "Base of all errors of gelstereo: something handed over cannot be used.\n\nThe text says what was found, what \
-     would be valid and what to do."
+    "Base of all errors of gelstereo: something handed over cannot be used.\n\n\
+     The text says what was found, what would be valid and what to do."
 );
 
 macro_rules! exceptions {
@@ -45,7 +45,8 @@ create_exception!(
     gelstereo,
     PitchWarning,
     PyUserWarning,
-    "The print's pitch at rest differs from lattice.pitch_mm: the rig or a setting is wrong, and lengths with it."
+    "The print's pitch at rest differs from lattice.pitch_mm: the rig or a setting is wrong, and lengths \
+    with it."
 );
 
 /// Conversion of a stage's error to its Python exception.

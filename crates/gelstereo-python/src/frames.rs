@@ -25,8 +25,8 @@ impl FingerKinematics {
             return Ok(Self { inner });
         }
         Err(FrameError::new_err(format!(
-            "{inner:?} opens from {min_mm} to {max_mm} mm; valid is finite dimensions with which it opens from one width \
-             to a larger one above 0"
+            "{inner:?} opens from {min_mm} to {max_mm} mm; valid is finite dimensions with which it opens \
+             from one width to a larger one above 0"
         )))
     }
 }

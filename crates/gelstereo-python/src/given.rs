@@ -74,8 +74,8 @@ impl Given<'_, '_> {
         let points = points.rows::<DVec3, 3>()?;
         if points.len() > MAX_POINTS {
             return Err(RegisterError::new_err(format!(
-                "there are {} points; valid is up to {MAX_POINTS}: hand over the contact patch alone, thinned to \
-                 about the spacing of the template",
+                "there are {} points; valid is up to {MAX_POINTS}: hand over the contact patch alone, \
+                 thinned to about the spacing of the template",
                 points.len()
             )));
         }

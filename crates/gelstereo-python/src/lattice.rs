@@ -28,6 +28,10 @@ pub struct RestLattice {
     /// Median distance between neighbours, pixels.
     #[pyo3(get)]
     pitch_px: f64,
+    /// (above, right, below, left) rows or columns with markers that were left out: those seen in part, and
+    /// those beyond ``lattice.rows`` and ``lattice.cols``.
+    #[pyo3(get)]
+    left_out: (usize, usize, usize, usize),
 }
 
 #[pymethods]
@@ -68,8 +72,8 @@ pub fn foresight_sort(
     let (Count(rows), Count(cols)) = (rows, cols);
     if rows.max(cols) > MAX_MARKERS || !(tolerance_px > 0.0 && tolerance_px.is_finite()) {
         return Err(LabelError::new_err(format!(
-            "rows is {rows}, cols {cols}, tolerance_px {tolerance_px}; valid is up to {MAX_MARKERS} rows and columns, \
-             and a finite tolerance above 0"
+            "rows is {rows}, cols {cols}, tolerance_px {tolerance_px}; valid is up to {MAX_MARKERS} rows and \
+             columns, and a finite tolerance above 0"
         )));
     }
     let mut order = Vec::new();
@@ -112,5 +116,6 @@ pub fn rest_lattice(
         cols: lattice.cols,
         filled: arrays::list(py, lattice.detection.iter().map(Option::is_none).collect()),
         pitch_px: lattice.pitch_px,
+        left_out: lattice.left_out.into(),
     })
 }

@@ -71,8 +71,8 @@ impl LayerContact {
         let (Layer { thickness_mm, poisson_ratio }, grid) = (contact.layer(), contact.grid());
         let Grid { rows, cols, cell_mm } = grid;
         format!(
-            "<LayerContact: {rows} x {cols} cells of {cell_mm} mm on a layer {thickness_mm} mm thick, Poisson's ratio \
-             {poisson_ratio}>"
+            "<LayerContact: {rows} x {cols} cells of {cell_mm} mm on a layer {thickness_mm} mm thick, \
+             Poisson's ratio {poisson_ratio}>"
         )
     }
 

@@ -24,6 +24,7 @@ mod notebook;
 mod params;
 mod pickle;
 mod pipeline;
+mod pitch_check;
 mod register;
 mod rest_record;
 mod rig;
@@ -74,7 +75,9 @@ mod _native {
     #[pymodule_export]
     use crate::params::Params;
     #[pymodule_export]
-    use crate::pipeline::{Frame, Pipeline, PitchCheck, ViewEvidence, marker_states};
+    use crate::pipeline::{Frame, Pipeline, ViewEvidence, marker_states};
+    #[pymodule_export]
+    use crate::pitch_check::PitchCheck;
     #[pymodule_export]
     use crate::register::{FreeDirection, Localization, localize};
     #[pymodule_export]

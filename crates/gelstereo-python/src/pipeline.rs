@@ -6,8 +6,10 @@ use crate::errors::{PitchWarning, raise};
 use crate::notebook;
 use crate::params::Params;
 use crate::pickle;
+use crate::pitch_check::PitchCheck;
 use crate::rest_record::RestRecord;
 use crate::rig::Rig;
+use gelstereo_core::params::Channel;
 use gelstereo_core::pipeline as core;
 use gelstereo_core::track::MarkerState;
 use numpy::PyArray3;
@@ -193,6 +195,12 @@ impl Frame {
     }
 }
 
+/// Covariances of centres as an array.
+fn of_centres(py: Python<'_>, covariance_px2: &[[[f64; 2]; 2]]) -> PyResult<Py<PyArray3<f64>>> {
+    let entries = covariance_px2.iter().flatten().flatten().copied().collect();
+    arrays::shaped(py, entries, (covariance_px2.len(), 2, 2))
+}
+
 /// Sensing pipeline: stereo frames in, tactile point clouds out. The first frame is the rest frame.
 ///
 /// Calls from several threads are serialised; the interpreter's lock is released while a frame is processed.
@@ -210,6 +218,8 @@ impl Frame {
 pub struct Pipeline {
     /// Boxed because its SIMD columns are aligned to 32 bytes, and Python aligns its objects to 16.
     stages: Box<Mutex<core::Pipeline>>,
+    /// Channel of colour images; absent until a frame determines it.
+    channel: Mutex<Option<Channel>>,
     rig: Py<Rig>,
     params: Py<Params>,
 }
@@ -224,6 +234,10 @@ impl Pipeline {
         PyErr::warn(py, &py.get_type::<PitchWarning>(), &message, 1)
     }
 
+    fn locked_channel(&self) -> MutexGuard<'_, Option<Channel>> {
+        self.channel.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     fn lock(&self) -> MutexGuard<'_, core::Pipeline> {
         self.stages.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -236,7 +250,13 @@ impl Pipeline {
     fn new(py: Python<'_>, rig: Py<Rig>, params: Option<&Bound<'_, Params>>) -> PyResult<Self> {
         let params = Params::or_default(params);
         let stages = core::Pipeline::new(&rig.get().inner, &params).map_err(raise)?;
-        Ok(Self { stages: Box::new(Mutex::new(stages)), rig, params: Py::new(py, Params { inner: params })? })
+        let channel = fixed_channel(&params);
+        Ok(Self {
+            stages: Box::new(Mutex::new(stages)),
+            channel: Mutex::new(channel),
+            rig,
+            params: Py::new(py, Params { inner: params })?,
+        })
     }
 
     fn __repr__(&self, py: Python<'_>) -> String {
@@ -244,6 +264,27 @@ impl Pipeline {
         let (width_px, height_px) = (left.width_px, left.height_px);
         let next = if at_rest { "at work" } else { "the next frame is the rest frame" };
         format!("<Pipeline: images of {width_px} x {height_px} px, {next}>")
+    }
+
+    /// Covariances of the last frame's `left_px` and `right_px` about the images of the dots' centres.
+    ///
+    /// They include what an image alone cannot show: noise measured from both views, and gel that folds
+    /// within the dot. Folds move a dot in both images alike: to combine the views, use
+    /// `Frame.covariance_mm2`.
+    ///
+    /// Parameters
+    /// ----------
+    /// frame : Frame
+    ///     The last frame of this pipeline.
+    ///
+    /// Returns
+    /// -------
+    /// left_px2, right_px2 : (N, 2, 2) float64
+    ///     Empty for another frame than the last one.
+    fn centre_covariances_px2(&self, py: Python<'_>, frame: &Frame) -> PyResult<[Py<PyArray3<f64>>; 2]> {
+        let (mut left, mut right) = (Vec::new(), Vec::new());
+        py.detach(|| self.lock().centre_covariances_px2(frame.core(), [&mut left, &mut right]));
+        Ok([of_centres(py, &left)?, of_centres(py, &right)?])
     }
 
     /// The rig of the pipeline.
@@ -293,8 +334,17 @@ impl Pipeline {
         py.detach(|| self.lock().pitch_check()).map(|inner| PitchCheck { inner })
     }
 
+    /// Channel of the images in which markers are searched: ``"grey"``, ``"red"``, ``"green"`` or ``"blue"``.
+    /// With ``detect.channel = "auto"``, the left image of the first frame determines it until `reset`; None
+    /// before.
+    #[getter]
+    fn channel(&self) -> Option<&'static str> {
+        self.locked_channel().map(arrays::channel_name)
+    }
+
     /// Clear tracks, rest surface and reference: the next frame is the rest frame.
     fn reset(&self, py: Python<'_>) {
+        *self.locked_channel() = fixed_channel(&self.params.get().inner);
         py.detach(|| self.lock().reset());
     }
 
@@ -332,8 +382,9 @@ impl Pipeline {
     ///
     /// Parameters
     /// ----------
-    /// left, right : (H, W) uint8
-    ///     Grey images of the rig's size; borrowed when contiguous, copied otherwise.
+    /// left, right : (H, W) or (H, W, 3) uint8
+    ///     Images of the rig's size, grey, or blue, green and red as OpenCV reads them, of which
+    ///     ``detect.channel`` is searched. Borrowed when contiguous, copied otherwise.
     /// threads : 1 or 2
     ///     With 2, the markers of the right view are detected on a second thread; the result is
     ///     bit-identical.
@@ -367,7 +418,13 @@ impl Pipeline {
             )));
         }
         let (left, right) = (Image::new(left, "left")?, Image::new(right, "right")?);
-        let (left, right) = (left.view()?, right.view()?);
+        let known = *self.locked_channel();
+        let channel = match known {
+            Some(channel) => channel,
+            None => left.best_channel(&self.params.get().inner.detect)?,
+        };
+        let (mut left_levels, mut right_levels) = (Vec::new(), Vec::new());
+        let (left, right) = (left.view(channel, &mut left_levels)?, right.view(channel, &mut right_levels)?);
         // A new frame each time, because its lists become the arrays that Python keeps.
         let frame = py.detach(|| {
             let mut out = core::Frame::default();
@@ -379,6 +436,8 @@ impl Pipeline {
             done.map(|()| out)
         });
         let frame = frame.map_err(raise)?;
+        // A rest frame that fails determines nothing.
+        *self.locked_channel() = Some(channel);
         if frame.index == 0 {
             self.warn_of_pitch(py)?;
         }
@@ -386,47 +445,9 @@ impl Pipeline {
     }
 }
 
-/// The print's pitch, triangulated at rest, beside ``lattice.pitch_mm``. ``str()`` explains a difference.
-#[pyclass(frozen, module = "gelstereo")]
-pub struct PitchCheck {
-    inner: core::PitchCheck,
-}
-
-#[pymethods]
-impl PitchCheck {
-    /// Median distance of neighbouring markers in a row at rest, mm.
-    #[getter]
-    const fn measured_mm(&self) -> f64 {
-        self.inner.measured_mm
-    }
-
-    /// Standard deviation of `measured_mm` from the scatter of the distances, mm.
-    #[getter]
-    const fn sigma_mm(&self) -> f64 {
-        self.inner.sigma_mm
-    }
-
-    /// ``lattice.pitch_mm``.
-    #[getter]
-    const fn expected_mm(&self) -> f64 {
-        self.inner.expected_mm
-    }
-
-    /// Whether both differ by more than five standard deviations and one per cent, which a print may be off.
-    #[getter]
-    fn is_off(&self) -> bool {
-        self.inner.is_off()
-    }
-
-    fn __str__(&self) -> String {
-        self.inner.to_string()
-    }
-
-    fn __repr__(&self) -> String {
-        let core::PitchCheck { measured_mm, sigma_mm, expected_mm } = self.inner;
-        let state = if self.inner.is_off() { "off" } else { "as expected" };
-        format!("<PitchCheck: {measured_mm:.4} ± {sigma_mm:.4} mm, expected {expected_mm} mm: {state}>")
-    }
+/// The channel of the settings, unless the images determine it.
+fn fixed_channel(params: &gelstereo_core::params::Params) -> Option<Channel> {
+    Some(params.detect.channel).filter(|&channel| channel != Channel::Auto)
 }
 
 /// Runs both to completion, the second on its own thread.

@@ -154,9 +154,9 @@ impl Localization {
     }
 
     /// What the registration could use. ``"samples"``: the template's samples, as the paper's methods do.
-    /// ``"surface"``: the part's exact surface. ``"gel"``: the part's surface and all markers, with the model of
-    /// the gel beside the part where that explains the markers better; only ``surface_search`` does so, with a
-    /// frame or `all_points_mm`.
+    /// ``"surface"``: the part's exact surface. ``"gel"``: the part's surface and all markers, with the model
+    /// of the gel beside the part where that explains the markers better; only ``surface_search`` does so,
+    /// with a frame or `all_points_mm`.
     #[getter]
     const fn model(&self) -> &'static str {
         self.model.name()
@@ -164,8 +164,8 @@ impl Localization {
 
     /// Standard deviations of the pose at a point of the part.
     ///
-    /// The diagonal of `covariance` is about the camera: a small turn moves a part that is 30 mm away. This is
-    /// the uncertainty of where the point is.
+    /// The diagonal of `covariance` is about the camera: a small turn moves a part that is 30 mm away. This
+    /// is the uncertainty of where the point is.
     ///
     /// Parameters
     /// ----------
@@ -175,7 +175,8 @@ impl Localization {
     /// Returns
     /// -------
     /// (6,) float64
-    ///     Of the part's turn about the sensor's x, y and z axes (rad), and of the point's position along them (mm).
+    ///     Of the part's turn about the sensor's x, y and z axes (rad), and of the point's position along
+    ///     them (mm).
     ///
     /// Raises
     /// ------
@@ -206,7 +207,7 @@ impl Localization {
         self.found.gel_decay.map(|gel| gel.length_mm)
     }
 
-    /// Whether `gel_decay_mm` is at an end of its search range, 0.22 to 2.1 times ``contact.decay_mm``.
+    /// Whether `gel_decay_mm` is at an end of its search range, 0.08 to 2.1 times ``contact.decay_mm``.
     /// The gel then differs from its settings, and the pose is less reliable. None where it was not
     /// estimated.
     #[getter]
@@ -281,8 +282,8 @@ impl Localization {
         };
         let end = if self.found.converged { "converged" } else { "not converged" };
         format!(
-            "<Localization: {fit}, {end} after {} iterations, {} of {} points within reach, rmse {:.4} mm, {} free \
-             directions>",
+            "<Localization: {fit}, {end} after {} iterations, {} of {} points within reach, rmse {:.4} mm, \
+             {} free directions>",
             self.found.iterations,
             self.found.inliers,
             self.found.points,
@@ -297,21 +298,21 @@ impl Localization {
 /// Parameters
 /// ----------
 /// contact : Frame or (N, 3) array_like
-///     A frame of `Pipeline.process`: its contact patch with covariances, and all other markers that are seen.
-///     Or points on the part's surface alone, sensor frame, at most 20000; `Localization.model` then tells
-///     what could be used.
+///     A frame of `Pipeline.process`: its contact patch with covariances, and all other markers that are
+///     seen. Or points on the part's surface alone, sensor frame, at most 20000; `Localization.model` then
+///     tells what could be used.
 /// template : Template
 /// guess : (4, 4) array_like
 ///     Approximate pose; maps object coordinates to sensor coordinates. How far it may be off is set by
 ///     ``register.start_sigma_deg`` and ``register.start_sigma_mm``.
 /// all_points_mm : (M, 3) array_like, optional
-///     With points: all markers' points, those of `contact` among them, bit for bit. The methods on the part's
-///     surface (``register.method`` "surface_close", "surface_search"; they need a template of a mesh) use the
-///     fact that the part is not between the other markers and the camera, and "surface_search" the gel's model.
-///     Other methods ignore them. Not with a frame, which has them.
+///     With points: all markers' points, those of `contact` among them, bit for bit. The methods on the
+///     part's surface (``register.method`` "surface_close", "surface_search"; they need a template of a mesh)
+///     use the fact that the part is not between the other markers and the camera, and "surface_search" the
+///     gel's model. Other methods ignore them. Not with a frame, which has them.
 /// covariance_mm2 : (N, 3, 3) or (N, 9) array_like, optional
-///     With points: covariance of each, for the same methods. Default: ``register.point_sigma_mm`` for all. Not
-///     with a frame.
+///     With points: covariance of each, for the same methods. Default: ``register.point_sigma_mm`` for all.
+///     Not with a frame.
 /// params : Params, optional
 ///     Its ``register`` part is used; with points also ``contact.decay_mm``, which a frame has.
 /// press_direction : (3,) array_like, optional
@@ -359,7 +360,8 @@ pub fn localize(
 
 thread_local! {
     /// This thread's registrar, kept for its memory: allocating it again takes a tenth of the work.
-    static REGISTRAR: RefCell<core::Registrar> = RefCell::new(core::Registrar::new(&RegisterParams::default()));
+    static REGISTRAR: RefCell<core::Registrar> =
+        RefCell::new(core::Registrar::new(&RegisterParams::default()));
 }
 
 /// Properties of the gel.

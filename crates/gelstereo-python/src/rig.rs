@@ -98,7 +98,9 @@ impl Rig {
     /// RigError, PoseError, ShapeError
     ///     If the numbers describe no rig.
     #[classmethod]
-    #[pyo3(signature = (*, size_px, left_matrix, left_distortion, right_matrix, right_distortion, rotation, translation_mm))]
+    #[pyo3(signature = (
+        *, size_px, left_matrix, left_distortion, right_matrix, right_distortion, rotation, translation_mm
+    ))]
     #[allow(clippy::too_many_arguments)] // what cv2.stereoCalibrate returns
     fn from_opencv(
         _cls: &Bound<'_, PyType>,

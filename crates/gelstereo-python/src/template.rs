@@ -52,7 +52,10 @@ impl Template {
     /// TemplateError
     ///     If it cannot be sampled at this spacing.
     #[classmethod]
-    #[pyo3(signature = (mesh, *, units, spacing_mm=core::Template::DEFAULT_SPACING_MM, seed=Count(1)), text_signature = "($cls, mesh, *, units, spacing_mm=0.25, seed=1)")]
+    #[pyo3(
+        signature = (mesh, *, units, spacing_mm=core::Template::DEFAULT_SPACING_MM, seed=Count(1)),
+        text_signature = "($cls, mesh, *, units, spacing_mm=0.25, seed=1)"
+    )]
     fn from_mesh(
         cls: &Bound<'_, PyType>,
         mesh: &Bound<'_, PyAny>,
@@ -85,7 +88,10 @@ impl Template {
     /// MeshError, TemplateError
     ///     If the triangles are not a surface, or cannot be sampled at this spacing.
     #[classmethod]
-    #[pyo3(signature = (vertices_mm, triangles, *, spacing_mm=core::Template::DEFAULT_SPACING_MM, seed=Count(1)), text_signature = "($cls, vertices_mm, triangles, *, spacing_mm=0.25, seed=1)")]
+    #[pyo3(
+        signature = (vertices_mm, triangles, *, spacing_mm=core::Template::DEFAULT_SPACING_MM, seed=Count(1)),
+        text_signature = "($cls, vertices_mm, triangles, *, spacing_mm=0.25, seed=1)"
+    )]
     fn from_triangles(
         cls: &Bound<'_, PyType>,
         vertices_mm: &Bound<'_, PyAny>,
@@ -255,7 +261,10 @@ impl Template {
     /// ------
     /// TemplateError
     ///     If the template has no exact surface, or the numbers are not valid for a grid.
-    #[pyo3(signature = (*, cell_mm=core::Template::DEFAULT_CELL_MM, reach_mm=core::Template::DEFAULT_REACH_MM), text_signature = "($self, *, cell_mm=0.4, reach_mm=4.0)")]
+    #[pyo3(
+        signature = (*, cell_mm=core::Template::DEFAULT_CELL_MM, reach_mm=core::Template::DEFAULT_REACH_MM),
+        text_signature = "($self, *, cell_mm=0.4, reach_mm=4.0)"
+    )]
     fn with_grid(&self, py: Python<'_>, cell_mm: f64, reach_mm: f64) -> PyResult<Self> {
         self.solid()?;
         let bare = self.inner.clone().without_field();
@@ -263,8 +272,8 @@ impl Template {
         let inner = made.map_err(raise)?;
         if inner.field().is_none() {
             return Err(TemplateError::new_err(format!(
-                "a grid with cells of {cell_mm} mm and a reach of {reach_mm} mm; valid is a positive width, and a \
-                 reach of 2 to 1000 cells"
+                "a grid with cells of {cell_mm} mm and a reach of {reach_mm} mm; valid is a positive width, \
+                 and a reach of 2 to 1000 cells"
             )));
         }
         Ok(Self { inner })
@@ -407,7 +416,8 @@ impl Template {
     fn solid(&self) -> PyResult<&Solid> {
         self.inner.solid().ok_or_else(|| {
             TemplateError::new_err(
-                "the template was made of points and has no exact surface; make it from a mesh or from triangles",
+                "the template was made of points and has no exact surface; make it from a mesh or from \
+                triangles",
             )
         })
     }

@@ -1,13 +1,13 @@
 //! What every effect costs: `cargo run --release -p gelstereo-sim --example effect_costs`.
 //!
-//! For each effect, alone on a default sensor under a ball that drags and twists the gel: the shortest time of a field
-//! (all markers in space), of the same with both views of it, and of a stereo frame (the same, rendered) while it is
-//! on, while it is off, and in a scene that never had it; and what its cost model says.
+//! For each effect, alone on a default sensor under a ball that drags and twists the gel: the shortest time
+//! of a field (all markers in space), of the same with both views of it, and of a stereo frame (the same,
+//! rendered) while it is on, while it is off, and in a scene that never had it; and what its cost model says.
 //!
-//! `effect_costs count` counts instructions instead, by callgrind: of a scene's third and fourth frame, so that what
-//! a scene takes to begin is left out. They do not depend on the machine's load. `effect_costs count
-//! docs/simulator.md` writes them into the manual between its markers. `effect_costs NAME on 3` is what callgrind
-//! sees: three frames.
+//! `effect_costs count` counts instructions instead, by callgrind: of a scene's third and fourth frame, so
+//! that what a scene takes to begin is left out. They do not depend on the machine's load. `effect_costs
+//! count docs/simulator.md` writes them into the manual between its markers. `effect_costs NAME on 3` is what
+//! callgrind sees: three frames.
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
 #[path = "../tests/every_effect/mod.rs"]

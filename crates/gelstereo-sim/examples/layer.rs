@@ -74,7 +74,8 @@ fn ball(grid: Grid, depth: f64, x: f64) -> Vec<f64> {
 
 fn solves() {
     println!(
-        "solves of a ball of 4 mm, 1 mm deep, within 0.1 um; warm: 30 um deeper and 30 um aside of the last frame"
+        "solves of a ball of 4 mm, 1 mm deep, within 0.1 um; warm: 30 um deeper and 30 um aside of the last \
+        frame"
     );
     for (cells, friction) in [(2, 0.0), (4, 0.0), (2, 0.8)] {
         let (side, cell_mm) = (28 * cells + 1, 0.9 / cells as f64);
@@ -96,8 +97,8 @@ fn solves() {
             black_box(contact.press(parts[turn % 2], 1e-4, Start::Last).unwrap());
         });
         println!(
-            "  {cells} cells a pitch, friction {friction}: cold {cold_us:6.0} us, {} products; warm {warm_us:6.0} us, {} \
-             products; set up {set_up:.0} ms",
+            "  {cells} cells a pitch, friction {friction}: cold {cold_us:6.0} us, {} products; warm \
+             {warm_us:6.0} us, {} products; set up {set_up:.0} ms",
             cold.products, warm.products
         );
     }
@@ -141,7 +142,8 @@ fn frames() {
 
 fn approximations() {
     println!(
-        "approximations against the layer without friction (um): heights rms and most off; rise; sideways most; rms of"
+        "approximations against the layer without friction (um): heights rms and most off; rise; sideways \
+        most; rms of"
     );
     println!("sideways at the best strength, and that strength and decay:");
     let shapes = [
@@ -196,7 +198,8 @@ fn approximations() {
             };
             let off = rms(&motion(effects, &shape, depth, 0.0), &exact, |u| u.truncate().extend(0.0));
             println!(
-                "    sideways at most {largest:5.1}; spread {off:5.1} off, best {:5.1} at strength {:.2} decay {:.2}",
+                "    sideways at most {largest:5.1}; spread {off:5.1} off, best {:5.1} at strength {:.2} \
+                decay {:.2}",
                 best.0, best.1, best.2
             );
         }

@@ -264,7 +264,13 @@ pub(crate) mod tests {
                 let held = |i: usize| places[i] < share;
                 let at = |i: usize| if held(i) { values[i] } else { 0.0 };
                 let mut plain: Vec<f64> = (0..rows * cols).map(at).collect();
-                plainly_relaxed([rows, cols], length, &mut plain, |_| 0.0, |i, u| if held(i) { values[i] } else { u });
+                plainly_relaxed(
+                    [rows, cols],
+                    length,
+                    &mut plain,
+                    |_| 0.0,
+                    |i, u| if held(i) { values[i] } else { u },
+                );
                 found.start(at);
                 found.hold(|i| if held(i) { 0.0 } else { 1.0 });
                 found.settle_beside();
@@ -289,14 +295,15 @@ pub(crate) mod tests {
         /// Independent of which component converges first.
         #[test]
         fn each_component_of_a_motion_is_that_of_a_membrane_of_its_own(
-            rows in 1..16_usize, cols in 1..16_usize, length in 0.05..6.0, share in 0.0..1.0, exponent in -9.0..0.0,
-            values in prop::collection::vec(prop::array::uniform2(-2.0..2.0), 15 * 15),
+            rows in 1..16_usize, cols in 1..16_usize, length in 0.05..6.0, share in 0.0..1.0,
+            exponent in -9.0..0.0, values in prop::collection::vec(prop::array::uniform2(-2.0..2.0), 15 * 15),
             places in prop::collection::vec(0.0..1.0, 15 * 15),
         ) {
             let held = |i: usize| places[i] < share;
             let free = |i: usize| if held(i) { 0.0 } else { 1.0 };
             let small = 10.0_f64.powf(exponent);
-            let at = |i: usize| if held(i) { DVec2::new(values[i][0] * small, values[i][1]) } else { DVec2::ZERO };
+            let at =
+                |i: usize| if held(i) { DVec2::new(values[i][0] * small, values[i][1]) } else { DVec2::ZERO };
             let mut both = screened([rows, cols], length);
             both.start(|i| Motion(at(i)));
             both.hold(|i| Motion::even(free(i)));

@@ -113,3 +113,47 @@ fn between(a: &ContactState, b: &ContactState, share: f64) -> ContactState {
         twist_rad: mix(a.twist_rad, b.twist_rad),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use alloc::vec;
+    use gelstereo_core::math::{DVec3, abs};
+    use proptest::prelude::*;
+
+    fn trajectory(times_s: &[f64], rotations: &[DVec3], frame_rate_hz: f64) -> Trajectory {
+        let keyframe = |(&time_s, &omega): (&f64, &DVec3)| Keyframe {
+            time_s,
+            contact: ContactState::pressed(Pose::exp(omega, DVec3::ZERO)),
+        };
+        let trajectory = times_s.iter().zip(rotations).map(keyframe).collect();
+        Trajectory::new(&Scene { trajectory, frame_rate_hz, ..Scene::default() })
+    }
+
+    proptest! {
+        /// The shortest arc, at a constant rate: the angles to both ends have the shares of the time.
+        #[test]
+        fn rotations_follow_the_shortest_arc(
+            from in prop::array::uniform3(-1.0..1.0_f64), to in prop::array::uniform3(-1.0..1.0_f64),
+            share in 0.01..0.99_f64,
+        ) {
+            let ends = [DVec3::from_array(from), DVec3::from_array(to)];
+            let path = trajectory(&[0.0, 2.0], &ends, 30.0);
+            let at = |time_s: f64| path.contact(time_s).unwrap().t_sensor_object.rotation;
+            let angle = |a: f64, b: f64| so3::log(at(a).conjugate() * at(b)).length();
+            let (whole, there) = (angle(0.0, 2.0), 2.0 * share);
+            prop_assert!(abs(angle(0.0, there) - share * whole) < 1e-12);
+            prop_assert!(abs(angle(there, 2.0) - (1.0 - share) * whole) < 1e-12);
+        }
+
+        /// A whole number of frames has its last one, although 21 / 30 s times 30 Hz is less than 21.
+        #[test]
+        fn round_off_takes_no_frame(
+            count in 0usize..3000, rate_hz in prop::sample::select(vec![24.0, 30.0, 50.0, 60.0, 90.0, 120.0]),
+            start_s in prop::sample::select(vec![0.0, 0.1, 3.3]),
+        ) {
+            let times_s = [start_s, start_s + count as f64 / rate_hz];
+            prop_assert_eq!(trajectory(&times_s, &[DVec3::ZERO; 2], rate_hz).frames(), count + 1);
+        }
+    }
+}

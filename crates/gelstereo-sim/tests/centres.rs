@@ -15,8 +15,9 @@ struct Condition {
     bright_level: u8,
     noise: f64,
     grain: f64,
-    /// Known excess of the squared errors over the covariance. Where noise is a seventh of the contrast, what it adds in second
-    /// order by contrast and slopes is 1 %, and the grain, a seventieth of the noise's variance, is measured to a half.
+    /// Known excess of the squared errors over the covariance. Where noise is a seventh of the contrast, what
+    /// it adds in second order by contrast and slopes is 1 %, and the grain, a seventieth of the noise's
+    /// variance, is measured to a half.
     excess: f64,
 }
 
@@ -85,7 +86,8 @@ impl Condition {
     }
 }
 
-/// Mean over markers and axes of the squared errors over their covariance, the 2-D rms error and the number of errors.
+/// Mean over markers and axes of the squared errors over their covariance, the 2-D rms error and the number
+/// of errors.
 fn errors(centre: Centre, pictures: &[Picture]) -> (f64, f64, f64) {
     let params = DetectParams {
         background: Background::Blocks,
@@ -112,9 +114,9 @@ fn errors(centre: Centre, pictures: &[Picture]) -> (f64, f64, f64) {
     (normalised / count, (square / count).sqrt(), count)
 }
 
-/// The mean of n markers' normalised squared errors is 1 within 2.6 / sqrt(n) (99 %, chi² with two degrees each), where
-/// pictures of one view share their grain and so count once; the noise's variance is measured to 3 %, and so is the
-/// grain's.
+/// The mean of n markers' normalised squared errors is 1 within 2.6 / sqrt(n) (99 %, chi² with two degrees
+/// each), where pictures of one view share their grain and so count once; the noise's variance is measured to
+/// 3 %, and so is the grain's.
 #[test]
 fn covariances_are_calibrated_on_presses() {
     for condition in &CONDITIONS {
@@ -131,9 +133,10 @@ fn covariances_are_calibrated_on_presses() {
     }
 }
 
-/// Contrast-weighted centres of a band do not follow the noise of the image, but their covariance does. It is taken from the
-/// profile of twelve markers in each picture, of which each ring of the edge has some 80 pixels: what their noise adds to what n
-/// errors tell (see above) is the part that as many edge pixels, 25 of each marker, leave of a variance.
+/// Contrast-weighted centres of a band do not follow the noise of the image, but their covariance does. It is
+/// taken from the profile of twelve markers in each picture, of which each ring of the edge has some 80
+/// pixels: what their noise adds to what n errors tell (see above) is the part that as many edge pixels, 25
+/// of each marker, leave of a variance.
 #[test]
 fn covariances_of_the_band_follow_the_noise() {
     for condition in &CONDITIONS {

@@ -1,5 +1,5 @@
-//! The decay length told from presses of parts of any shape. The simulator's gel obeys the law that is fitted: these figures
-//! show what noise and a wrong first guess do, not what a real gel does.
+//! The decay length told from presses of parts of any shape. The simulator's gel obeys the law that is
+//! fitted: these figures show what noise and a wrong first guess do, not what a real gel does.
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
 use gelstereo_core::contact::{Decay, DecayFit, Pressure, RestSurface};
@@ -66,8 +66,9 @@ fn parts() -> [(&'static str, Shape, DVec3); 4] {
     ]
 }
 
-/// The simulator's gel comes to rest on the very lattice of markers, so that second differences are exact: there is nothing
-/// but noise, of which 32 fits are within four standard deviations, and a thousandth for rim markers that pass for free.
+/// The simulator's gel comes to rest on the very lattice of markers, so that second differences are exact:
+/// there is nothing but noise, of which 32 fits are within four standard deviations, and a thousandth for rim
+/// markers that pass for free.
 #[test]
 fn any_part_tells_the_decay_length_from_a_guess_that_is_too_long() {
     let mut random = Stream::new(1, "decay");
@@ -85,7 +86,8 @@ fn any_part_tells_the_decay_length_from_a_guess_that_is_too_long() {
     }
 }
 
-/// 200 draws: their standard deviation is known to 5 %, and the one that is told must be within three of these.
+/// The standard deviation of 200 draws has an error of 5 %. The stated one must agree within three times
+/// that.
 #[test]
 fn the_uncertainty_is_the_spread() {
     let (_, shape, turn) = &parts()[0];
@@ -115,9 +117,9 @@ fn frames_without_contact_tell_nothing() {
     assert_eq!(fit.decay(), None);
 }
 
-/// The pipeline begins with a length that is 60 % too long, and learns from presses of a ball until it judges by what it found. The
-/// noise of the rest frame is in all heights alike, so that it counts as one frame's does: four standard deviations of that are
-/// 0.2 mm.
+/// The pipeline begins with a length that is 60 % too long, and learns from presses of a ball until it judges
+/// by what it found. The noise of the rest frame is in all heights alike, so that it counts as one frame's
+/// does: four standard deviations of that are 0.2 mm.
 #[test]
 fn a_pipeline_learns_the_decay_length() {
     let effects = Effects {

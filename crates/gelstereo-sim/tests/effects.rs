@@ -51,7 +51,10 @@ proptest! {
             // The solver leaves 1e-6 mm; an error e of h is at most (1 + 8 l²) e of pressure.
             let slack = 1e-6 * (1.0 + 8.0 * l2);
             prop_assert!(pressure > -slack, "the part does not pull: {pressure}");
-            prop_assert!(found.in_contact[i] || pressure < slack, "nothing presses beside the part: {pressure}");
+            prop_assert!(
+                found.in_contact[i] || pressure < slack,
+                "nothing presses beside the part: {pressure}"
+            );
         }
     }
 
@@ -60,8 +63,11 @@ proptest! {
         dx in -0.5..0.5, dy in -0.5..0.5, twist in -0.3..0.3, depth in 0.5..2.5,
     ) {
         let scene = with_effects(SPHERE, drag());
-        let contact =
-            ContactState { shear_mm: [dx, dy], twist_rad: twist, ..press(&scene, TILTED, DVec2::new(dx, dy), depth) };
+        let contact = ContactState {
+            shear_mm: [dx, dy],
+            twist_rad: twist,
+            ..press(&scene, TILTED, DVec2::new(dx, dy), depth)
+        };
         let (still, found) = (rest(&scene), truth(&scene, Some(&contact)));
         let motion = |i: usize| xy(found.points_mm[i] - still.points_mm[i]);
         // Who touched the part when it came down; others may have come under it since, and do not stick.
@@ -72,10 +78,8 @@ proptest! {
         let apart = |a: usize, b: usize| xy(still.points_mm[a] - still.points_mm[b]);
         for &i in &touched {
             let arm = apart(i, touched[0]);
-            let turned = DVec2::new(
-                cos(twist) * arm.x - sin(twist) * arm.y,
-                sin(twist) * arm.x + cos(twist) * arm.y,
-            );
+            let turned =
+                DVec2::new(cos(twist) * arm.x - sin(twist) * arm.y, sin(twist) * arm.x + cos(twist) * arm.y);
             prop_assert!((motion(i) - motion(touched[0]) - (turned - arm)).length() < 1e-12);
         }
         // The ball sits over the lattice's centre, so the twist's centre is there by symmetry, and shear is

@@ -1,4 +1,5 @@
-//! An effect that is off is one that the scene never had: the same simulator, bit by bit, and so the same work.
+//! An effect that is off is one that the scene never had: the same simulator, bit by bit, and so the same
+//! work.
 #![allow(clippy::unwrap_used)]
 
 use crate::counting;
@@ -58,14 +59,14 @@ fn an_effect_that_is_off_leaves_the_simulator_of_a_scene_without_it() {
     assert!(names.len() > 20);
     for effect in names {
         let [on, off, never] = [with, switched_off, without].map(|scene| run(&small(scene(effect))));
-        // Streams are keyed by seed, effect and frame and made anew for each image; what else is drawn, is drawn into
-        // tables and textures, which the state shows. So equal states draw the same numbers.
+        // Streams are keyed by seed, effect and frame and made anew for each image; what else is drawn, is
+        // drawn into tables and textures, which the state shows. So equal states draw the same numbers.
         assert!(off.built == never.built, "{effect}: not built the same");
         assert!(off.frames == never.frames, "{effect}: other bits");
         assert!(off.left == never.left, "{effect}: leaves something behind");
         assert_eq!(off.allocations, never.allocations, "{effect}");
-        // And the comparison would tell: an effect that is on is built, but for one that moves a choice between two
-        // formulas.
+        // And the comparison would tell: an effect that is on is built, but for one that moves a choice
+        // between two formulas.
         assert!(on.built != never.built, "{effect} is seen nowhere");
     }
 }

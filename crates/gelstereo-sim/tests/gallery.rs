@@ -1,4 +1,5 @@
-//! The scene files that ship with the project: each loads, plans, runs, and gives the bits that the manual says.
+//! The scene files that ship with the project: each loads, plans, runs, and gives the bits that the manual
+//! says.
 #![allow(clippy::unwrap_used)]
 
 use gelstereo_core::math::DVec3;

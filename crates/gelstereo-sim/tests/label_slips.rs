@@ -19,9 +19,9 @@ use std::ops::Range;
 /// Standard deviation of a centre along each axis that is twice the worst rung's, pixels.
 const NOISE_PX: f64 = 0.2;
 
-/// But for fine lattices, where it is this share of the pitch (still above the worst rung's 0.09 px on the finest, of
-/// 6.2 px). Heights of neighbours that are a slip apart are told from those that are not by 0.3 of it; the difference
-/// of two disparities has twice a centre's noise, so that 0.3 is nine of its standard deviations.
+/// Noise of fine lattices, as a share of the pitch: still above the worst rung's 0.09 px on the finest, of
+/// 6.2 px. A threshold of 0.3 pitches separates neighbours that are a slip apart from others. The difference
+/// of two disparities has twice a centre's noise, so 0.3 pitches are nine of its standard deviations.
 const NOISE_OF_PITCH: f64 = 1.0 / 60.0;
 
 /// Rest and one frame of a scene, in which what follows the rest frame is done by hand.
@@ -140,7 +140,8 @@ proptest! {
     #[test]
     fn every_slip_of_a_row_or_column_is_caught(
         sensor in 0_usize..5, shape in 0_usize..3, press_mm in 0.0..1.5, seed in 0_u64..1000, right: bool,
-        rows in (0.0..1.0, 0.0..1.0), cols in (0.0..1.0, 0.0..1.0), extent in 0_usize..4, direction in 0_usize..4,
+        rows in (0.0..1.0, 0.0..1.0), cols in (0.0..1.0, 0.0..1.0), extent in 0_usize..4,
+        direction in 0_usize..4,
     ) {
         let mut sensor = Sensor::new(&scene(sensor, shape), press_mm, seed);
         let (width, height) = (sensor.cols, sensor.left_px.len() / sensor.cols);

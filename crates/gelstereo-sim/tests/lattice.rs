@@ -48,7 +48,8 @@ fn right(found: &FoundLattice) -> usize {
     (0..4).map(agreeing).max().unwrap()
 }
 
-/// Complete frames, refused ones, and wrong places over 2 mm presses of a part, both views; any turn of the lattice.
+/// Complete frames, refused ones, and wrong places over 2 mm presses of a part, both views; any turn of the
+/// lattice.
 fn pressed(name: &str, shape: Shape, rotation: DVec3, drag: Drag) -> (usize, usize, usize) {
     let Drag { shear_mm, twist_rad } = drag;
     let (shoulder, spread, drag) =

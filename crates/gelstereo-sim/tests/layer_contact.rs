@@ -37,8 +37,8 @@ fn force(contact: &LayerContact) -> f64 {
     contact.pressure().iter().sum::<f64>() * contact.grid().cell_mm * contact.grid().cell_mm
 }
 
-/// Whether pressures and heights solve the contact problem within `slack` mm: nothing pulls, no cell overlaps the part, and what
-/// carries pressure touches.
+/// Whether pressures and heights solve the contact problem within `slack` mm: nothing pulls, no cell overlaps
+/// the part, and what carries pressure touches.
 fn complements(contact: &mut LayerContact, heights: &[f64], slack: f64) {
     let (mut into, mut aside) = (Vec::new(), [Vec::new(), Vec::new()]);
     contact.surface_mm(&mut into, &mut aside);
@@ -52,8 +52,9 @@ fn complements(contact: &mut LayerContact, heights: &[f64], slack: f64) {
 #[test]
 fn a_ball_on_a_thick_layer_is_hertz_within_1_percent() {
     for poisson_ratio in [0.0, 0.3, 0.5] {
-        // A layer 60 contact radii thick: its bottom takes about a / h = 1.7 % of the depth if nothing else. So the
-        // depth that counts is where the half-space's would be: the load is what is compared, and the shape at that load.
+        // A layer 60 contact radii thick: its bottom takes about a / h = 1.7 % of the depth if nothing else.
+        // So the depth that counts is where the half-space's would be: the load is what is compared, and the
+        // shape at that load.
         let mut layer = contact(400.0, poisson_ratio, 64, 0.04);
         let hertz = Hertz { half_space: HalfSpace { poisson_ratio }, radius_mm: 4.0, depth_mm: 0.25 };
         let r = distances(layer.grid(), [0.0; 2]);
@@ -103,7 +104,8 @@ fn a_flat_punch_on_a_thick_layer_is_boussinesq_within_1_percent() {
     }
 }
 
-/// Bulge beside a press: an incompressible layer rises by tens of micrometres beside a 1 mm press, a half-space never.
+/// Bulge beside a press: an incompressible layer rises by tens of micrometres beside a 1 mm press, a
+/// half-space never.
 #[test]
 fn gel_rises_beside_the_contact() {
     let mut layer = contact(5.0, 0.5, 100, 0.225);
@@ -182,7 +184,8 @@ fn bad_input_is_refused() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 
-    /// Whatever the part, the layer and the start are, the contact is solved; and from the last frame it is the same.
+    /// Whatever the part, the layer and the start are, the contact is solved; and from the last frame it is
+    /// the same.
     #[test]
     fn any_part_is_in_equilibrium(
         poisson_ratio in 0.0..=0.5_f64,

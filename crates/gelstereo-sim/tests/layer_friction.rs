@@ -24,8 +24,8 @@ fn field(cell_mm: f64, of: impl Fn([f64; 2]) -> f64) -> Vec<f64> {
     (0..CELLS * CELLS).map(|i| of(at(i, cell_mm))).collect()
 }
 
-/// Tractions are within the bound; where they are, the surface goes with the part, and where they are at it, it lags behind
-/// along them. Returns how many cells stick and how many slip.
+/// Tractions are within the bound; where they are, the surface goes with the part, and where they are at it,
+/// it lags behind along them. Returns how many cells stick and how many slip.
 fn coulomb(contact: &mut LayerContact, carried: [&[f64]; 2], friction: f64, slack: f64) -> [usize; 2] {
     let (mut into, mut aside) = (Vec::new(), [Vec::new(), Vec::new()]);
     contact.surface_mm(&mut into, &mut aside);
@@ -57,7 +57,8 @@ fn coulomb(contact: &mut LayerContact, carried: [&[f64]; 2], friction: f64, slac
 #[test]
 fn row_27_a_pulled_ball_is_cattaneo_and_mindlin() {
     let (cell, depth, friction) = (0.033, 0.25, 0.5);
-    // At ν = 0.5 pressing moves nothing sideways and pulling moves nothing up: what the theory takes for granted.
+    // At ν = 0.5 pressing moves nothing sideways and pulling moves nothing up: what the theory takes for
+    // granted.
     let thick = (400.0, 0.5);
     let hertz = Hertz { half_space: HalfSpace { poisson_ratio: 0.5 }, radius_mm: 4.0, depth_mm: depth };
     let heights = field(cell, |[x, y]| depth - (x * x + y * y) / 8.0);
@@ -121,8 +122,8 @@ fn row_27_no_friction_and_very_much() {
     assert!(stuck > 50 && slips == 0, "everything sticks: {stuck} {slips}");
 }
 
-/// One cell that is pressed, and pressed and pulled: from eight cells on it is a point, whose square is seen as
-/// (cell / r)² / 8 < 0.2 % of the motion.
+/// One cell that is pressed, and pressed and pulled: from eight cells on it is a point, whose square is seen
+/// as (cell / r)² / 8 < 0.2 % of the motion.
 #[test]
 fn a_cell_far_away_is_boussinesqs_and_cerrutis_point() {
     let (cell, middle) = (0.1, CELLS / 2 * CELLS + CELLS / 2);
@@ -157,8 +158,9 @@ fn a_cell_far_away_is_boussinesqs_and_cerrutis_point() {
     }
 }
 
-/// A disc of cells is none, and tractions are infinite at its rim: torque is off in proportion to the cells. What is
-/// left of that is two cell sizes' difference away, and a disc of the cells' own area is the nearest one.
+/// A disc of cells is none, and tractions are infinite at its rim: torque is off in proportion to the cells.
+/// What is left of that is two cell sizes' difference away, and a disc of the cells' own area is the nearest
+/// one.
 #[test]
 fn a_twisted_punchs_torque_is_reissner_and_sagocis() {
     let ratio = |cell: f64| {

@@ -5,8 +5,8 @@ use gelstereo_core::math::sqrt;
 use gelstereo_sim::layer::Layer;
 use proptest::prelude::*;
 
-/// Poisson's ratio, k h, and normal, in-plane, anti-plane and cross compliance of a layer of 1 mm by hyperbolic
-/// sines and cosines, unscaled, with 60 digits.
+/// Poisson's ratio, k h, and normal, in-plane, anti-plane and cross compliance of a layer of 1 mm by
+/// hyperbolic sines and cosines, unscaled, with 60 digits.
 #[allow(clippy::excessive_precision)]
 const REFERENCE: [(f64, f64, [f64; 4]); 70] = [
     (0.0, 1e-12, [1.0, 2.0, 2.0, -4.9999999999999999e-13]),
@@ -192,8 +192,9 @@ fn row_24_compliances_at_any_wave_number() {
 }
 
 proptest! {
-    /// An incompressible gel is what a nearly incompressible one becomes: at ν = 0.5 - d compliances differ by no more than d
-    /// times their slope, and at 0.5 long waves find no compliance but k² h³ (Reynolds' film).
+    /// An incompressible gel is what a nearly incompressible one becomes: at ν = 0.5 - d compliances differ
+    /// by no more than d times their slope, and at 0.5 long waves find no compliance but k² h³ (Reynolds'
+    /// film).
     #[test]
     fn row_25_poisson_ratio_to_one_half(x in 1e-6..50.0, d in 1e-12..1e-3) {
         let at = |poisson_ratio| Layer { thickness_mm: 1.0, poisson_ratio }.compliance(x);
@@ -210,8 +211,8 @@ proptest! {
         }
     }
 
-    /// The energy of a wave is positive whatever its tractions are: the two by two matrix of normal and in-plane is
-    /// positive definite.
+    /// The energy of a wave is positive whatever its tractions are: the two by two matrix of normal and
+    /// in-plane is positive definite.
     #[test]
     fn waves_store_energy(poisson_ratio in 0.0..=0.5_f64, x in 1e-3..400.0) {
         let found = Layer { thickness_mm: 1.0, poisson_ratio }.compliance(x);

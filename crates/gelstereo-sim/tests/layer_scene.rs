@@ -22,8 +22,8 @@ fn motion(scene: &Scene, contact: &ContactState) -> (Vec<DVec2>, Truth) {
     (found.points_mm.iter().zip(&still.points_mm).map(|(&a, &b)| xy(a - b)).collect(), found)
 }
 
-/// A 1 mm press on an incompressible layer lifts the gel beside it by tens of micrometres and pushes markers out; friction holds
-/// them.
+/// A 1 mm press on an incompressible layer lifts the gel beside it by tens of micrometres and pushes markers
+/// out; friction holds them.
 #[test]
 fn a_press_makes_a_bulge_and_moves_markers_outwards() {
     let scene = with_effects(SPHERE, layered(0.5, 0.0));
@@ -168,12 +168,13 @@ fn parts() -> impl Strategy<Value = Shape> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(8))]
 
-    /// The bound of the plan holds: what the layer changes of the rigid imprint is within it, and markers in contact lie on the
-    /// part, no other one within it.
+    /// The bound of the plan holds: what the layer changes of the rigid imprint is within it, and markers in
+    /// contact lie on the part, no other one within it.
     #[test]
     fn true_change_is_within_the_bound(
         shape in parts(), poisson_ratio in 0.0..=0.5_f64, friction in prop_oneof![Just(0.0), 0.1..3.0_f64],
-        depth in 0.1..1.2_f64, turn in -1.6..1.6_f64, x in -8.0..8.0_f64, shear in -0.4..0.4_f64, twist in -0.1..0.1_f64, refined in any::<bool>(),
+        depth in 0.1..1.2_f64, turn in -1.6..1.6_f64, x in -8.0..8.0_f64, shear in -0.4..0.4_f64,
+        twist in -0.1..0.1_f64, refined in any::<bool>(),
     ) {
         let gel = Gel { rows: 13, cols: 15, pitch_mm: 1.4, ..Gel::default() };
         let mut scene = Scene { gel, ..with_effects(shape.clone(), layered(poisson_ratio, friction)) };
@@ -208,7 +209,8 @@ proptest! {
             let apart = found.points_mm.iter().zip(&other.points_mm).map(|(a, b)| (*a - *b).length());
             let um = 1e3 * apart.fold(0.0, f64::max);
             prop_assert!(um <= bound.um, "{name}: {um} um of {}", bound.um);
-            let px = dots(&found).iter().zip(dots(&other)).map(|(a, b)| (*a - b).length()).fold(0.0, f64::max);
+            let px =
+                dots(&found).iter().zip(dots(&other)).map(|(a, b)| (*a - b).length()).fold(0.0, f64::max);
             prop_assert!(px <= bound.px, "{name}: {px} px of {}", bound.px);
         }
         prop_assert!(found.points_mm.iter().all(|point| point.is_finite()));

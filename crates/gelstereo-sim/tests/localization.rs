@@ -1,5 +1,5 @@
-//! Where a part sits in the hand, from simulated stereo frames of a soft gel (sensor noise 2 grey levels), whose
-//! shoulders lie on no surface.
+//! Where a part sits in the hand, from simulated stereo frames of a soft gel (sensor noise 2 grey levels),
+//! whose shoulders lie on no surface.
 //!
 //! `cargo nextest run -p gelstereo-sim localization:: --no-capture` prints the table.
 // A test may stop at what it did not expect, and print its table.
@@ -146,7 +146,8 @@ fn worst(press: &Press, seen: &Seen, template: &Template, method: RegisterMethod
         (mm, degrees, rmse_mm) = (mm.max(error.0), degrees.max(error.1), rmse_mm.max(found.rmse_mm));
     }
     println!(
-        "{:15} {:.1} mm  {:3} of {:3} points in contact  {:15} {mm:.3} mm {degrees:.2} degrees  rmse {rmse_mm:.3} mm",
+        "{:15} {:.1} mm  {:3} of {:3} points in contact  {:15} {mm:.3} mm {degrees:.2} degrees  rmse \
+        {rmse_mm:.3} mm",
         press.name,
         press.press_mm,
         seen.in_contact,
@@ -169,14 +170,14 @@ fn errors(method: RegisterMethod) -> Vec<(f64, f64)> {
         .collect()
 }
 
-// A quarter of the 0.2 mm clearance of an insertion, and the angle asked for with it. These are requirements, not
-// limits of the noise: 0.012 mm a point would give 0.004 mm along the press on the smallest patch.
+// A quarter of the 0.2 mm clearance of an insertion, and the angle asked for with it. These are requirements,
+// not limits of the noise: 0.012 mm a point would give 0.004 mm along the press on the smallest patch.
 const MAX_MM: f64 = 0.05;
 const MAX_DEGREES: f64 = 0.5;
 
-// Known to miss them, and so not asserted: the tilt on the board at 0.8 mm (0.53 degrees from one start of five), and the
-// tilted cylinder at 0.8 mm (left out above: 0.38 mm and 5.2 degrees), where two free directions are reported though the
-// axis is hardly held.
+// Known to miss them, and so not asserted: the tilt on the board at 0.8 mm (0.53 degrees from one start of
+// five), and the tilted cylinder at 0.8 mm (left out above: 0.38 mm and 5.2 degrees), where two free
+// directions are reported though the axis is hardly held.
 
 #[test]
 fn surface_close_finds_the_part_behind_a_soft_shoulder() {

@@ -1,5 +1,5 @@
-//! Motion blur against the mean of many short exposures, which a scene without it and with more frames per second
-//! gives.
+//! Motion blur against the mean of many short exposures, which a scene without it and with more frames per
+//! second gives.
 #![allow(clippy::unwrap_used)]
 
 use crate::common;
@@ -76,8 +76,8 @@ fn frame(scene: &Scene, frame: u64) -> (Truth, [Vec<u8>; 2]) {
     (truth, [left, right])
 }
 
-/// Mean of images about frame 2, each of which is taken in no time: frames of a scene with so many more of them, whose
-/// keyframes come earlier by what lies before the first moment.
+/// Mean of images about frame 2, each of which is taken in no time: frames of a scene with so many more of
+/// them, whose keyframes come earlier by what lies before the first moment.
 fn mean(scene: &Scene) -> [Vec<f64>; 2] {
     let exposure_s = scene.effects.motion_blur.as_ref().unwrap().exposure_s;
     let step_s = exposure_s / MOMENTS as f64;
@@ -119,9 +119,9 @@ fn farthest(image: &[u8], mean: &[f64]) -> f64 {
     image.iter().zip(mean).map(|(&level, mean)| (f64::from(level) - mean).abs()).fold(0.0, f64::max)
 }
 
-/// Both are rounded to levels, by half a level each at most. Ways of a gel that turns are bent by (way / radius)² / 8
-/// of the radius, 0.01 px, and a part of this pace bends no more; sharp edges take 2e-3 of the contrast of 120: half
-/// a level in all.
+/// Both are rounded to levels, by half a level each at most. Ways of a gel that turns are bent by (way /
+/// radius)² / 8 of the radius, 0.01 px, and a part of this pace bends no more; sharp edges take 2e-3 of the
+/// contrast of 120: half a level in all.
 const TOLERANCE: f64 = 1.5;
 
 fn check(scene: &Scene) -> Result<(), TestCaseError> {
@@ -139,18 +139,24 @@ proptest! {
     /// Of a gel that moves as a whole, dots merged, among specks, in uneven light, with and without a lens.
     #[test]
     fn it_is_the_mean_of_many_short_exposures(
-        exposure_s in 0.005..0.1_f64, shift_mm in -5.0..5.0_f64, turn_rad in -0.1..0.1_f64, lens in prop::bool::ANY,
+        exposure_s in 0.005..0.1_f64, shift_mm in -5.0..5.0_f64, turn_rad in -0.1..0.1_f64,
+        lens in prop::bool::ANY,
     ) {
         let defocus = effects().defocus.filter(|_| lens);
         let mut scene = scene(exposure_s, shift_mm, turn_rad, 0.0, Effects { defocus, ..effects() });
-        scene.trajectory.iter_mut().for_each(|k| k.contact = ContactState::pressed(Pose::from_translation_mm(DVec3::Z * 40.0)));
+        scene
+            .trajectory
+            .iter_mut()
+            .for_each(|k| k.contact = ContactState::pressed(Pose::from_translation_mm(DVec3::Z * 40.0)));
         check(&scene)?;
     }
 
-    /// Under a part that comes down and moves aside. (What it drags sticks from one moment to the next: no straight
-    /// way.)
+    /// Under a part that comes down and moves aside. (What it drags sticks from one moment to the next: no
+    /// straight way.)
     #[test]
-    fn so_it_is_under_a_part(exposure_s in 0.005..0.03_f64, shift_mm in -2.0..2.0_f64, dive_mm in 0.0..0.6_f64) {
+    fn so_it_is_under_a_part(
+        exposure_s in 0.005..0.03_f64, shift_mm in -2.0..2.0_f64, dive_mm in 0.0..0.6_f64,
+    ) {
         check(&scene(exposure_s, shift_mm, 0.0, dive_mm, Effects { drag: None, ..effects() }))?;
     }
 }
@@ -160,7 +166,9 @@ proptest! {
 
     /// The rung that draws on fine pixels, moment by moment.
     #[test]
-    fn fast_images_are_the_exact_ones(exposure_s in 0.01..0.03_f64, shift_mm in -4.0..4.0_f64, turn_rad in -0.2..0.2_f64) {
+    fn fast_images_are_the_exact_ones(
+        exposure_s in 0.01..0.03_f64, shift_mm in -4.0..4.0_f64, turn_rad in -0.2..0.2_f64,
+    ) {
         let mut scene = scene(exposure_s, shift_mm, turn_rad, 0.4, effects());
         let (_, fast) = frame(&scene, 2);
         scene.images = Images::Exact;

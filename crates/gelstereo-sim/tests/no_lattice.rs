@@ -1,4 +1,5 @@
-//! Frames that do not show the lattice, or the wrong view's, and lattices that moved by more than half a pitch.
+//! Frames that do not show the lattice, or the wrong view's, and lattices that moved by more than half a
+//! pitch.
 #![allow(clippy::unwrap_used)]
 
 use gelstereo_core::image::GrayView;

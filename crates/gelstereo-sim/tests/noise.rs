@@ -9,8 +9,8 @@ use gelstereo_sim::{Effects, Scene};
 
 const SIGMA: f64 = 20.0;
 
-/// Deviations from the gel's level in units of the standard deviation, of both views and three frames: the scene has no
-/// markers but the four of its corners, out of sight.
+/// Deviations from the gel's level in units of the standard deviation, of both views and three frames: the
+/// scene has no markers but the four of its corners, out of sight.
 fn deviations() -> Vec<Vec<f64>> {
     let noise = SensorNoise { sigma_levels: SIGMA };
     let effects = Effects { sensor_noise: Some(noise), ..Effects::default() };
@@ -26,8 +26,8 @@ fn mean(values: impl ExactSizeIterator<Item = f64>) -> f64 {
     values.sum::<f64>() / n
 }
 
-/// Bands are five standard errors of n independent normal numbers: of the mean 1 / √n, of the variance √(2/n), of the third
-/// moment √(15/n), of the fourth √(96/n); rounding adds a variance of 1/12 level².
+/// Bands are five standard errors of n independent normal numbers: of the mean 1 / √n, of the variance
+/// √(2/n), of the third moment √(15/n), of the fourth √(96/n); rounding adds a variance of 1/12 level².
 #[test]
 fn moments_are_the_normal_distributions() {
     for values in deviations() {
@@ -36,7 +36,8 @@ fn moments_are_the_normal_distributions() {
         assert!(moment(1).abs() < 5.0 / n.sqrt());
         assert!((moment(2) - 1.0 - 1.0 / 12.0 / (SIGMA * SIGMA)).abs() < 5.0 * (2.0 / n).sqrt());
         assert!(moment(3).abs() < 5.0 * (15.0 / n).sqrt());
-        // 4096 quantiles end at 3.7 and so have a fourth moment of 2.988; of a sum of two half of the excess is left.
+        // 4096 quantiles end at 3.7 and so have a fourth moment of 2.988; of a sum of two half of the excess
+        // is left.
         let kurtosis = moment(4) / moment(2).powi(2);
         assert!((kurtosis - 2.994).abs() < 5.0 * (96.0 / n).sqrt(), "{kurtosis}");
     }
@@ -44,7 +45,8 @@ fn moments_are_the_normal_distributions() {
 
 #[test]
 fn tails_are_as_heavy_as_they_should_be() {
-    // Two-sided shares beyond 1, 2 and 3 standard deviations, half a level further out since levels are rounded.
+    // Two-sided shares beyond 1, 2 and 3 standard deviations, half a level further out since levels are
+    // rounded.
     for (beyond, share) in [(1.025, 0.30536), (2.025, 0.042867), (3.025, 0.0024863)] {
         for values in deviations() {
             let n = values.len() as f64;
@@ -80,8 +82,8 @@ fn pixels_views_and_frames_are_independent() {
     }
 }
 
-/// Variance in proportion to the level, and no other frame's or view's numbers. Five standard errors, √(2/n), and a hundredth
-/// for rounding.
+/// Variance in proportion to the level, and no other frame's or view's numbers. Five standard errors, √(2/n),
+/// and a hundredth for rounding.
 #[test]
 fn shot_noise_grows_with_the_root_of_the_level() {
     let noise = ShotNoise { full_well_electrons: 2000.0 };

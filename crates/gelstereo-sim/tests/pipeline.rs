@@ -86,9 +86,9 @@ fn run(scene: &Scene, params: &Params, threads: bool) -> (Vec<u64>, Frame, Truth
 
 /// Depths agree with the truth to what the centres allow.
 ///
-/// The binary centroid errs by 0.126 px rms in 2-D, 0.09 px per axis and view, the grey one by 0.06 px and the fit by 0.035
-/// px in 2-D (docs/accuracy-vs-time.md). Disparity then errs by sqrt(2) of that and depth by Z² / (f B) = 0.184 mm per
-/// pixel of it, as does the rest surface that is subtracted: sqrt(2) once more.
+/// The binary centroid errs by 0.126 px rms in 2-D, 0.09 px per axis and view, the grey one by 0.06 px and
+/// the fit by 0.035 px in 2-D (docs/accuracy-vs-time.md). Disparity then errs by sqrt(2) of that and depth by
+/// Z² / (f B) = 0.184 mm per pixel of it, as does the rest surface that is subtracted: sqrt(2) once more.
 #[test]
 fn a_press_is_measured_to_what_the_centres_allow() {
     for (preset, centre_sigma_px) in [("paper", 0.09), ("balanced", 0.04), ("exact", 0.025)] {
@@ -113,7 +113,8 @@ fn a_press_is_measured_to_what_the_centres_allow() {
     }
 }
 
-/// From images: the ball's contact is found by pressure, with few wrong markers at its rim, where depth takes the shoulder.
+/// From images: the ball's contact is found by pressure, with few wrong markers at its rim, where depth takes
+/// the shoulder.
 #[test]
 fn pressure_finds_the_contact_in_images() {
     let mut params = Params::preset("balanced").unwrap();
@@ -155,16 +156,16 @@ fn row_34_one_thread_or_two_and_any_repeat_give_the_same_bits() {
     }
 }
 
-/// A change of one bit anywhere from the scene to the points shows here. When results are meant to change, take over
-/// the digests that the failure prints, and say in the commit what changed them. Debug and release builds, and every
-/// x86-64 and aarch64, must give the same.
+/// A change of one bit anywhere from the scene to the points shows here. When results are meant to change,
+/// take over the digests that the failure prints, and say in the commit what changed them. Debug and release
+/// builds, and every x86-64 and aarch64, must give the same.
 #[test]
 fn row_34_the_bits_of_a_fixed_scene_are_known() {
     let known = [
-        ("paper", 0x4ee7_e14d_f5e2_d0bf),
-        ("fast", 0xdd27_6c4d_7e8a_9c87),
-        ("balanced", 0xa19f_d732_a63b_e046),
-        ("exact", 0x9ccb_2f6a_2b3c_b7b4),
+        ("paper", 0x0763_b58a_8043_a909),
+        ("fast", 0x6a2f_fa11_03ea_8cf4),
+        ("balanced", 0x7301_3fbf_d184_425c),
+        ("exact", 0xebe7_21c0_734a_5309),
     ];
     assert_eq!(known.map(|(preset, _)| preset), Params::PRESETS, "every preset has its digest");
     let found = known.map(|(preset, _)| {
@@ -249,7 +250,8 @@ fn motion_is_measured_from_the_reference() {
     let pressed = motion(&mut sensor, &mut pipeline, 0.3);
     pipeline.mark_reference();
     let still = motion(&mut sensor, &mut pipeline, 0.3);
-    // Noise alone: the mean length of a difference of two centres that err by 0.05 px (2-D) is about as large.
+    // Noise alone: the mean length of a difference of two centres that err by 0.05 px (2-D) is about as
+    // large.
     assert!(still < 0.1 && pressed > 3.0 * still, "{pressed} {still}");
 }
 
@@ -270,7 +272,8 @@ fn images_of_another_size_and_settings_that_make_no_sense_are_refused() {
     assert_eq!(frame.left.labels, LabelSource::Foresight);
 }
 
-/// Checked tracks give what unchecked ones give, bit for bit, where nothing goes wrong, and say that they are certain.
+/// Checked tracks give what unchecked ones give, bit for bit, where nothing goes wrong, and say that they are
+/// certain.
 #[test]
 fn checked_tracks_agree_with_unchecked_ones() {
     let mut params = Params::preset("balanced").unwrap();

@@ -82,8 +82,8 @@ fn bits(scene: &Scene) -> (Vec<Truth>, Vec<Vec<u8>>) {
     (truths, images)
 }
 
-/// The simulator is built from the planned scene alone: where that is the scene that never listed an effect, time and bits
-/// are that scene's.
+/// The simulator is built from the planned scene alone: where that is the scene that never listed an effect,
+/// time and bits are that scene's.
 #[test]
 fn an_effect_that_is_off_was_never_there() {
     let scene = full();

@@ -1,5 +1,5 @@
-//! Bounds of effects against what the effects change: true change <= bound, in every scene and whichever other
-//! effects are on.
+//! Bounds of effects against what the effects change: true change <= bound, in every scene and whichever
+//! other effects are on.
 #![allow(clippy::unwrap_used)]
 
 use crate::every_effect;
@@ -272,7 +272,9 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(120))]
 
     #[test]
-    fn no_effect_changes_more_than_its_bound(scene in scenes(), name in prop::sample::select(names()), off in 0..1_u32 << MOST) {
+    fn no_effect_changes_more_than_its_bound(
+        scene in scenes(), name in prop::sample::select(names()), off in 0..1_u32 << MOST,
+    ) {
         let plan = Plan::of(&scene, None).unwrap();
         if let Some(entry) = plan.entries.iter().find(|entry| entry.effect == name) {
             let (found, bound) = (change(&scene, name, off), entry.bound);
@@ -280,11 +282,17 @@ proptest! {
             prop_assert!(found.um <= bound.um + 2e-3, "{name}: {} um, bound {}", found.um, bound.um);
             prop_assert!(found.px <= bound.px + 1e-5, "{name}: {} px, bound {}", found.px, bound.px);
             // Rounded to whole levels.
-            prop_assert!(found.levels <= bound.levels.ceil(), "{name}: {} levels, bound {}", found.levels, bound.levels);
+            prop_assert!(
+                found.levels <= bound.levels.ceil(),
+                "{name}: {} levels, bound {}",
+                found.levels,
+                bound.levels
+            );
         }
     }
 
-    /// What moves is smeared by no more than its pace allows: seldom among all effects, so once more by itself.
+    /// What moves is smeared by no more than its pace allows: seldom among all effects, so once more by
+    /// itself.
     #[test]
     fn motion_blur_changes_no_more_than_its_bound(
         scene in scenes(), exposure_s in size(0.2), gel_mm in size(2.0), off in 0..1_u32 << MOST,
@@ -305,7 +313,9 @@ proptest! {
 
     /// Whatever is switched off on auto, what is left is within the tolerance of the whole scene.
     #[test]
-    fn together_they_stay_within_the_tolerance(scene in scenes(), kind in 0..3_usize, exponent in -3.0..2.5_f64) {
+    fn together_they_stay_within_the_tolerance(
+        scene in scenes(), kind in 0..3_usize, exponent in -3.0..2.5_f64,
+    ) {
         let tolerance = 10.0_f64.powf(exponent);
         let asked = match kind {
             0 => Asked::Positions { tolerance_px: tolerance },
@@ -315,7 +325,8 @@ proptest! {
         let planned = Scene { asked: Some(asked), ..scene.clone() };
         let plan = Plan::of(&planned, None).unwrap();
         prop_assert!(plan.left_out() <= tolerance);
-        let least_on = plan.entries.iter().filter(|e| e.on).map(|e| asked.of(&e.bound)).fold(f64::INFINITY, f64::min);
+        let least_on =
+            plan.entries.iter().filter(|e| e.on).map(|e| asked.of(&e.bound)).fold(f64::INFINITY, f64::min);
         prop_assert!(plan.left_out() + least_on > tolerance, "one more could be off");
         let found = asked.of(&apart(&scene.rig, &see(&scene, kind == 2), &see(&planned, kind == 2)));
         let slack = [1e-5, 2e-3, 1.0][kind];
@@ -329,8 +340,8 @@ fn keyframe(time_s: f64, at_mm: [f64; 3], turn_rad: f64, shear_mm: f64, twist_ra
     Keyframe { time_s, contact: ContactState { t_sensor_object, shear_mm: [shear_mm, 0.0], twist_rad } }
 }
 
-/// A ball and a peg on the default sensor behind lenses that distort, and a board behind layers, with every effect; and the
-/// peg on an elastic layer.
+/// A ball and a peg on the default sensor behind lenses that distort, and a board behind layers, with every
+/// effect; and the peg on an elastic layer.
 fn typical() -> [(&'static str, Scene); 4] {
     let effects = Effects {
         misprint: Some(Misprint { shift_mm: 0.04, radius_share: 0.15, ..Misprint::default() }),
@@ -379,8 +390,8 @@ const UM: Unit = Unit(|bound| bound.um, false);
 const PX: Unit = Unit(|bound| bound.px, false);
 const LEVELS: Unit = Unit(|bound| bound.levels, true);
 
-/// Bounds are loose where they ask little of a scene, but not without limit: in typical scenes they are at most so many
-/// times what happens. (Manual: the table of effects.)
+/// Bounds are loose where they ask little of a scene, but not without limit: in typical scenes they are at
+/// most so many times what happens. (Manual: the table of effects.)
 #[test]
 fn bounds_are_of_use() {
     let factors: [Factor; 15] = [

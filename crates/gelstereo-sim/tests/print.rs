@@ -51,7 +51,9 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(16))]
 
     #[test]
-    fn misprinted_dots_are_where_truth_says(shift in 0.02..0.1, radius in 0.0..0.25, seed in any::<u64>(), turn in -3.0..3.0) {
+    fn misprinted_dots_are_where_truth_says(
+        shift in 0.02..0.1, radius in 0.0..0.25, seed in any::<u64>(), turn in -3.0..3.0,
+    ) {
         let mut scene = misprinted(Misprint { shift_mm: shift, radius_share: radius, ..Misprint::default() });
         scene.seed = seed;
         scene.gel.rotation_rad = turn;
@@ -64,8 +66,8 @@ proptest! {
         for (i, dot) in found.left_dots.iter().enumerate() {
             let pixels = blob(&left, found.left_px[i]);
             let (ink, centre) = inked(&left, &pixels);
-            // Half a level of 120 on each of 40 border pixels, about as far from the centre as the radius: 0.02 px at
-            // most for the smallest dots.
+            // Half a level of 120 on each of 40 border pixels, about as far from the centre as the radius:
+            // 0.02 px at most for the smallest dots.
             prop_assert!((centre - found.left_px[i]).length() < 0.02);
             let area = core::f64::consts::PI * dot.outline.radius_px() * dot.outline.radius_px();
             prop_assert!((ink - area).abs() < 0.2, "{ink} px² for {area}");
@@ -76,8 +78,8 @@ proptest! {
         }
         let most = away.iter().fold(0.0_f64, |a, &b| a.max(b));
         prop_assert!(most <= shift && most > 0.9 * shift, "289 draws fill the disc: {most}");
-        // Evenly over the disc: mean square of the distance is half the square of the radius, within five standard
-        // errors of 289 draws (r² is uniform: 0.29 / 17).
+        // Evenly over the disc: mean square of the distance is half the square of the radius, within five
+        // standard errors of 289 draws (r² is uniform: 0.29 / 17).
         let mean = away.iter().map(|a| a * a).sum::<f64>() / 289.0 / (shift * shift);
         prop_assert!((mean - 0.5).abs() < 0.085, "{mean}");
     }
@@ -86,7 +88,8 @@ proptest! {
     #[test]
     fn a_misprint_is_no_strain(tilt in -0.3..0.3, seed in any::<u64>()) {
         let misprint = Some(Misprint { shift_mm: 0.2, ..Misprint::default() });
-        let mut scene = Scene { seed, indenter: Some(Shape::Box { size_mm: [60.0, 60.0, 60.0] }), ..Scene::default() };
+        let mut scene =
+            Scene { seed, indenter: Some(Shape::Box { size_mm: [60.0, 60.0, 60.0] }), ..Scene::default() };
         let mut contact = press(&scene, DVec3::new(0.0, tilt, 0.0), DVec2::ZERO, 0.0);
         contact.t_sensor_object.translation_mm =
             DVec3::new(4.0, 0.0, 26.2) + contact.t_sensor_object.transform_vector(DVec3::Z) * 30.0;

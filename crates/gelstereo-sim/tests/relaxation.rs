@@ -153,11 +153,14 @@ fn without(scene: &Scene, name: &str) -> Scene {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 
-    /// In no frame, however the part has come there, does a refinement of the layer change more than its bound.
+    /// In no frame, however the part has come there, does a refinement of the layer change more than its
+    /// bound.
     #[test]
     fn true_change_is_within_the_bound_all_the_way(scene in visits()) {
         let (plan, whole) = (Plan::of(&scene, None).unwrap(), moments(&scene));
-        for entry in plan.entries.iter().filter(|entry| ["relaxation", "large_strain"].contains(&entry.effect)) {
+        for entry in
+            plan.entries.iter().filter(|entry| ["relaxation", "large_strain"].contains(&entry.effect))
+        {
             let [um, px] = apart(&whole, &moments(&without(&scene, entry.effect)));
             prop_assert!(um <= entry.bound.um, "{}: {um} um of {}", entry.effect, entry.bound.um);
             prop_assert!(px <= entry.bound.px, "{}: {px} px of {}", entry.effect, entry.bound.px);

@@ -55,7 +55,8 @@ fn centre_of_outline(centre: DVec3, slope: DVec2, radius: f64) -> DVec2 {
 }
 
 /// Rounding to grey levels moves the centroid by at most Σ|x| / 2 over contrast times area: with the about 34
-/// border pixels of a dot of 4.3 px radius that is 34 · 4.3 · 0.64 / 2 / (120 · 58) = 0.007 px along each axis.
+/// border pixels of a dot of 4.3 px radius that is 34 · 4.3 · 0.64 / 2 / (120 · 58) = 0.007 px along each
+/// axis.
 const ROUNDING_PX: f64 = 0.0095;
 
 proptest! {
@@ -178,8 +179,8 @@ fn grain_has_the_spread_it_was_given_and_stays_from_frame_to_frame() {
     let levels: Vec<f64> =
         left.chunks(640).flat_map(|row| row[..150].iter().map(|&v| f64::from(v) - 170.0)).collect();
     let variance = levels.iter().map(|v| v * v).sum::<f64>() / levels.len() as f64;
-    // About 4π σ² = 12.6 pixels share one independent value, so five standard errors are 5 √(2 · 12.6 / n) = 9
-    // %.
+    // About 4π σ² = 12.6 pixels share one independent value, so five standard errors are 5 √(2 · 12.6 / n) =
+    // 9 %.
     assert!((variance / 36.0 - 1.0).abs() < 0.09, "{variance}");
 }
 
@@ -219,8 +220,9 @@ fn a_truth_of_another_lattice_shows_no_dots() {
     assert!(left.len() == 640 * 480 && left.iter().chain(&right).all(|&v| v == 170));
 }
 
-/// Both rungs of `images`, on whatever a scene can hold: dots of other sizes, merged, cut, covered and among dust, in uneven
-/// light. Levels differ by 0.02 (0.2 where dots merge) before they are rounded, so few round to another number.
+/// Both rungs of `images`, on whatever a scene can hold: dots of other sizes, merged, cut, covered and among
+/// dust, in uneven light. Levels differ by 0.02 (0.2 where dots merge) before they are rounded, so few round
+/// to another number.
 #[test]
 fn fast_images_are_the_exact_ones() {
     let rough: Scene = toml::from_str(include_str!("../../../scenes/rough_ride.toml")).unwrap();

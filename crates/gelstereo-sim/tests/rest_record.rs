@@ -269,7 +269,8 @@ proptest! {
     #[test]
     fn a_first_frame_is_labelled_right_or_held(
         shape in 0_usize..3, press_mm in 0.2..1.5, x in -3.0..3.0, y in -3.0..3.0, tilt in -0.15..0.15,
-        shear in prop::array::uniform2(-1.0..1.0), twist_rad in -0.3..0.3, lattice in 0_usize..2, seed in 0_u64..1000,
+        shear in prop::array::uniform2(-1.0..1.0), twist_rad in -0.3..0.3, lattice in 0_usize..2,
+        seed in 0_u64..1000,
     ) {
         let shapes = [
             Shape::Sphere { radius_mm: 5.0 },
@@ -291,10 +292,13 @@ proptest! {
         // Held as a whole or nearly complete: a fold or a torn rim may hide some.
         let certain = [frame.left.labels, frame.right.labels] == [LabelSource::Lattice; 2];
         prop_assert_eq!(seen > 0, certain);
-        // Heights to six standard deviations of both frames' noise, or of the least that a grey centroid allows.
+        // Heights to six standard deviations of both frames' noise, or of the least that a grey centroid
+        // allows.
         for i in (0..frame.state.len()).filter(|&i| frame.state[i] == MarkerState::Seen) {
             let sigma_mm = (2.0 * record.variance_mm2[i]).sqrt();
-            prop_assert!((frame.indentation_mm[i] - truth.indentation_mm[i]).abs() < 6.0 * sigma_mm.max(0.02));
+            prop_assert!(
+                (frame.indentation_mm[i] - truth.indentation_mm[i]).abs() < 6.0 * sigma_mm.max(0.02)
+            );
         }
     }
 }

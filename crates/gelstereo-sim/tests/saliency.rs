@@ -1,5 +1,6 @@
-//! Markers called in contact against the simulator's truth. The simulator's gel obeys the very law that saliency by
-//! pressure is built on, so that these figures flatter: they show what noise does, not what a real gel does.
+//! Markers called in contact against the simulator's truth. The simulator's gel obeys the very law that
+//! saliency by pressure is built on, so that these figures flatter: they show what noise does, not what a
+//! real gel does.
 
 use gelstereo_core::contact::{AdaptiveSaliency, Pressure, RestSurface, saliency};
 use gelstereo_core::math::random::Stream;
@@ -63,8 +64,8 @@ impl Score {
     }
 }
 
-/// Scores of (depth, pressure, adaptive) for heights whose noise has this standard deviation at a marker, of ten presses at
-/// places drawn up to so far from the middle.
+/// Scores of (depth, pressure, adaptive) for heights whose noise has this standard deviation at a marker, of
+/// ten presses at places drawn up to so far from the middle.
 fn score(press: &Press, depth_mm: f64, sigma_mm: impl Fn(usize) -> f64, drawn_mm: f64) -> [Score; 3] {
     let scene = Scene { indenter: Some(press.shape.clone()), effects: Effects::of_gel(), ..Scene::default() };
     let mut simulator = Simulator::new(&scene, None).unwrap();
@@ -101,7 +102,8 @@ fn scores(sigma_mm: f64) -> [[Score; 3]; 2] {
         for &depth_mm in press.depths_mm {
             let [depth, pressure, adaptive] = score(&press, depth_mm, |_| sigma_mm, 1.8);
             println!(
-                "{sigma_mm} mm  {:16} {depth_mm:.1} mm  F1 by depth {:.3}, by pressure {:.4}, adaptive {:.4}  ({} true, {} missed, {} false)",
+                "{sigma_mm} mm  {:16} {depth_mm:.1} mm  F1 by depth {:.3}, by pressure {:.4}, \
+                adaptive {:.4}  ({} true, {} missed, {} false)",
                 press.name,
                 depth.f1(),
                 pressure.f1(),
@@ -121,9 +123,10 @@ fn scores(sigma_mm: f64) -> [[Score; 3]; 2] {
     all
 }
 
-/// The 0.995 that is asked for holds for level boards. On curved and tilted parts the pressure of markers at the contact's rim
-/// goes down to 0, and those below the noise cannot be told from free ones: there 1.000, 0.97 and 0.943 were measured,
-/// and the floors only keep them. The adaptive rung is held to within 0.01 of pressure.
+/// The 0.995 that is asked for holds for level boards. On curved and tilted parts the pressure of markers at
+/// the contact's rim goes down to 0, and those below the noise cannot be told from free ones: there 1.000,
+/// 0.97 and 0.943 were measured, and the floors only keep them. The adaptive rung is held to within 0.01 of
+/// pressure.
 #[test]
 fn pressure_finds_the_contact_where_depth_does_not() {
     for (sigma_mm, boards, others) in [(1e-5, 0.999, 0.999), (0.005, 0.998, 0.965), (0.010, 0.995, 0.93)] {
@@ -137,8 +140,9 @@ fn pressure_finds_the_contact_where_depth_does_not() {
     }
 }
 
-/// One marker in ten is ten times as noisy as the others, as under a reflection of a light. With the mean of the variances for
-/// all, pressure has 0.87 on the boards and 0.79 on the others; with their own, 0.98 and 0.93.
+/// One marker in ten is ten times as noisy as the others, as under a reflection of a light. With the mean of
+/// the variances for all, pressure has 0.87 on the boards and 0.79 on the others; with their own, 0.98 and
+/// 0.93.
 #[test]
 fn markers_of_uneven_noise_are_weighed_by_it() {
     let mut all = [[Score::default(); 3]; 2];
@@ -158,9 +162,10 @@ fn markers_of_uneven_noise_are_weighed_by_it() {
     assert!(board[1..].iter().all(|&f1| f1 >= 0.97) && other[1..].iter().all(|&f1| f1 >= 0.9));
 }
 
-/// Where every marker that touches carries pressure beyond the noise, the contact is found to 0.995: ball and cylinder over the
-/// lattice's middle, as deep as on the page of accuracy, with the noise that presets `balanced` and `fast` leave. The least
-/// pressure at the rim is 1.4 mm, its standard deviation 0.23 and 0.36 mm; free markers beside it carry none.
+/// Where every marker that touches carries pressure beyond the noise, the contact is found to 0.995: ball and
+/// cylinder over the lattice's middle, as deep as on the page of accuracy, with the noise that presets
+/// `balanced` and `fast` leave. The least pressure at the rim is 1.4 mm, its standard deviation 0.23 and 0.36
+/// mm; free markers beside it carry none.
 #[test]
 fn contacts_that_end_clearly_are_found_to_0_995() {
     let ball =
@@ -181,8 +186,8 @@ fn contacts_that_end_clearly_are_found_to_0_995() {
     }
 }
 
-/// Chance makes a region of one marker, and about as often one of more, once in a million markers: about one frame of these
-/// 1000 has one.
+/// Chance makes a region of one marker, and about as often one of more, once in a million markers: about one
+/// frame of these 1000 has one.
 #[test]
 fn noise_alone_touches_nothing() {
     let mut truth = Truth::default();

@@ -1,5 +1,5 @@
-//! Sensing allocates nothing after the rest frame and the first that is tracked, whatever later frames show, and holds less
-//! than 16 MB at 640 x 480.
+//! Sensing allocates nothing after the rest frame and the first that is tracked, whatever later frames show,
+//! and holds less than 16 MB at 640 x 480.
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
 use crate::counting;

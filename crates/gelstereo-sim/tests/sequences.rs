@@ -1,5 +1,6 @@
-//! Sequences that make it hard to know which marker is which, rendered and run through whole pipelines (simulated, sensor
-//! noise 2 grey levels): no marker is ever taken for another one, and all that is shown is seen again at once.
+//! Sequences that make it hard to know which marker is which, rendered and run through whole pipelines
+//! (simulated, sensor noise 2 grey levels): no marker is ever taken for another one, and all that is shown is
+//! seen again at once.
 #![allow(clippy::unwrap_used)]
 
 use gelstereo_core::image::GrayView;
@@ -135,7 +136,8 @@ fn names_of(frame: &Frame, shot: &Shot) -> Vec<usize> {
     (0..4).map(turned).min_by(|a, b| off(a).total_cmp(&off(b))).unwrap()
 }
 
-/// Runs presets fast and exact: nothing wrong, all back at once, and at most so many per thousand held while shown.
+/// Runs presets fast and exact: nothing wrong, all back at once, and at most so many per thousand held while
+/// shown.
 fn check(name: &str, runs: &[(Vec<Shot>, usize)], change: impl Fn(&mut Params), most_held: usize) {
     for preset in ["fast", "exact"] {
         let mut params = Params::preset(preset).unwrap();
@@ -180,7 +182,8 @@ fn a_press_to_two_millimetres() {
 
 #[test]
 fn shear_by_two_pitches() {
-    // At the rim of the drag, neighbours tear apart by half a pitch; some of them are held until it is undone.
+    // At the rim of the drag, neighbours tear apart by half a pitch; some of them are held until it is
+    // undone.
     check("shear", &[grip(2.0, 0.0, 1)], |_| {}, 6);
 }
 

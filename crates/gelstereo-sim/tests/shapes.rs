@@ -17,8 +17,8 @@ const CYLINDER: Shape = Shape::Cylinder { radius_mm: 2.5, length_mm: 14.0 };
 const BOX: Shape = Shape::Box { size_mm: [3.0, 7.0, 11.0] };
 const BOARD: Shape = Shape::Board { size_mm: [18.0, 16.0], block_mm: [6.0, 4.0], protrusion_mm: 1.4 };
 
-/// A solid that lies within the mesh of `shape`, and one that contains it. The meshes are inscribed, so curved
-/// radii shrink by the tolerance; the 1e-9 decides for lines that graze an edge.
+/// A solid that lies within the mesh of `shape`, and one that contains it. The meshes are inscribed, so
+/// curved radii shrink by the tolerance; the 1e-9 decides for lines that graze an edge.
 fn bracket(shape: &Shape, tolerance: f64) -> [Shape; 2] {
     let of = |curved: f64, flat: f64| match shape {
         Shape::Sphere { radius_mm } => Shape::Sphere { radius_mm: radius_mm + curved },
@@ -88,7 +88,8 @@ proptest! {
         let pose = press(&scene, turn, offset, depth).t_sensor_object;
         // Inscribed triangles end at most the tolerance before the solid does.
         let mesh = shape.mesh(1e-3).unwrap();
-        let nearest = mesh.vertices_mm().iter().map(|&v| pose.transform_point(v).z).fold(f64::INFINITY, f64::min);
+        let nearest =
+            mesh.vertices_mm().iter().map(|&v| pose.transform_point(v).z).fold(f64::INFINITY, f64::min);
         let reached = scene.gel.surface_mm - nearest;
         prop_assert!((depth - 1e-3 - 1e-9..=depth + 1e-9).contains(&reached), "{reached} for {depth}");
         let again = Simulator::new(&as_file(), Some(&mesh)).unwrap().pressed(pose, reached).unwrap();

@@ -32,11 +32,16 @@ proptest! {
 
     #[test]
     fn a_patch_blends_its_level_in(
-        x in -30.0..670.0, y in -30.0..510.0, a in 1.0..80.0, b in 1.0..30.0, turn in -3.0..3.0, soft in 0.1..1.0,
-        opacity in 0.1..1.0, level in any::<u8>(),
+        x in -30.0..670.0, y in -30.0..510.0, a in 1.0..80.0, b in 1.0..30.0, turn in -3.0..3.0,
+        soft in 0.1..1.0, opacity in 0.1..1.0, level in any::<u8>(),
     ) {
         let patch = Patch {
-            centre_px: [x, y], half_size_px: [a, b], rotation_rad: turn, soft_share: soft, opacity, level,
+            centre_px: [x, y],
+            half_size_px: [a, b],
+            rotation_rad: turn,
+            soft_share: soft,
+            opacity,
+            level,
             ..Patch::default()
         };
         let (_, plain) = frame(&Scene::default(), 0);
@@ -50,13 +55,16 @@ proptest! {
             }
         }
         // Who is said to be clear of the patch has no pixel changed; a marker under its middle is covered.
-        for (dots, (before, after)) in [&truth.left_dots, &truth.right_dots].into_iter().zip(plain.iter().zip(&smeared)) {
+        for (dots, (before, after)) in
+            [&truth.left_dots, &truth.right_dots].into_iter().zip(plain.iter().zip(&smeared))
+        {
             for dot in dots {
                 let (at, reach) = (dot.outline.centre_px, dot.outline.reach_px());
                 let (low, high) = ((at - reach - 1.0).ceil(), (at + reach + 1.0).floor());
                 let within = (low.y as usize..=high.y as usize)
                     .flat_map(|y| (low.x as usize..=high.x as usize).map(move |x| y * 640 + x));
-                // Pixels that the dot covers or touches: their centres are up to half a diagonal beyond its rim.
+                // Pixels that the dot covers or touches: their centres are up to half a diagonal beyond its
+                // rim.
                 let touched = |i: &usize| {
                     let pixel = DVec2::new((i % 640) as f64, (i / 640) as f64);
                     (pixel - at).length() < reach.x + 0.71
@@ -103,6 +111,7 @@ fn random_patches_are_the_seeds_and_differ_between_views() {
         [0, 1].map(|v| (0..640 * 480).filter(|&i| plain[v][i] != views[v][i]).collect::<Vec<_>>())
     };
     assert_ne!(changed_left, changed_right);
-    // 40 ellipses of 30 x 6 px on average over 307200 px, fewer where they overlap; dark on dark does not show.
+    // 40 ellipses of 30 x 6 px on average over 307200 px, fewer where they overlap; dark on dark does not
+    // show.
     assert!((5_000..25_000).contains(&changed_left.len()), "{}", changed_left.len());
 }

@@ -1,6 +1,7 @@
 //! A day at 30 frames a second is 2.6 million frames: identities must not wander, and memory must not grow.
 //!
-//! The test runs as many as a test may; `GELSTEREO_SOAK_FRAMES=2600000` runs them all (in release mode 25 minutes).
+//! The test runs as many as a test may; `GELSTEREO_SOAK_FRAMES=2600000` runs them all (in release mode 25
+//! minutes).
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
 use crate::counting;
@@ -51,8 +52,8 @@ fn moments(scene: &Scene) -> Vec<Moment> {
         .collect()
 }
 
-/// One view's detections: noise, two markers of a hundred missed, those under a smear, specks, in another order every time; gives
-/// how many markers are shown.
+/// One view's detections: noise, two markers of a hundred missed, those under a smear, specks, in another
+/// order every time; gives how many markers are shown.
 fn detect(
     truth_px: &[DVec2],
     missing: f64,
@@ -171,8 +172,8 @@ impl Sensor {
         }
     }
 
-    /// What it makes of two frames without noise, all markers in the first, every seventh missing in the second: nothing but
-    /// these and the rest frame may show in it.
+    /// What it makes of two frames without noise, all markers in the first, every seventh missing in the
+    /// second: nothing but these and the rest frame may show in it.
     fn sense_twice(&mut self, moment: &Moment) -> Sensed {
         for missing in [false, true] {
             for (k, truth) in moment.views_px.iter().enumerate() {

@@ -32,7 +32,9 @@ proptest! {
     }
 
     #[test]
-    fn truth_reprojects_and_its_disparity_is_its_depth(depth in 0.0..3.0, x in -8.0..8.0, twist in -0.3..0.3) {
+    fn truth_reprojects_and_its_disparity_is_its_depth(
+        depth in 0.0..3.0, x in -8.0..8.0, twist in -0.3..0.3,
+    ) {
         let scene = with_effects(PEG, Effects::of_gel());
         let mut contact = press(&scene, ACROSS, DVec2::new(x, 0.5), depth);
         contact.shear_mm = [0.2, -0.1];

@@ -48,9 +48,9 @@ fn process(pipeline: &mut Pipeline, [left, right]: &Pair, frame: &mut Frame) -> 
     [frame.left.searched, frame.right.searched]
 }
 
-/// Both searches weigh the same pixels, but windows lie where markers are predicted, or where the whole image's components
-/// are, and take the gel's light from their own corners: the centres then differ by a part of their own standard deviation
-/// (`detect.centre_sigma_px`), never by more than it.
+/// Both searches weigh the same pixels, but windows lie where markers are predicted, or where the whole
+/// image's components are, and take the gel's light from their own corners: the centres then differ by a part
+/// of their own standard deviation (`detect.centre_sigma_px`), never by more than it.
 #[test]
 fn presses_are_followed_in_windows_as_in_the_whole_image() {
     let (pairs, rig) = (presses(), Scene::default_rig());
@@ -165,8 +165,8 @@ fn a_marker_is_lost_and_found_again_in_windows() {
     assert_eq!(a.left_px[marker], b.left_px[marker]);
 }
 
-/// Markers 3 px wide and 7 px apart: the windows around larger ones would not fit between their neighbours. Centres are as good
-/// as their covariance says, in the first frame, which is searched whole, and after it.
+/// Markers 3 px wide and 7 px apart: the windows around larger ones would not fit between their neighbours.
+/// Centres are as good as their covariance says, in the first frame, which is searched whole, and after it.
 #[test]
 fn dense_lattices_are_searched_in_windows() {
     let effects = Effects { sensor_noise: Some(SensorNoise::default()), ..Effects::of_gel() };

@@ -115,6 +115,16 @@ mod tests {
             }
         }
 
+        /// A timestamp is taken from 10 s before the time of reading to 1 s after it.
+        #[test]
+        fn stamps_of_another_clock_are_not_taken(off_ns in -40_000_000_000i64..20_000_000_000) {
+            let stamp_ns = START_NS.wrapping_add_signed(off_ns);
+            let stamp = TimestampCheck::default().step(Some(stamp_ns), START_NS);
+            let is_own = (-10_000_000_000..=1_000_000_000).contains(&off_ns);
+            prop_assert_eq!(stamp.time_ns, if is_own { stamp_ns } else { START_NS });
+            prop_assert_eq!(stamp.fault.is_some(), !is_own);
+        }
+
         #[test]
         fn steps_back_are_told_every_time(back_ns in 1u64..50_000_000) {
             let mut check = TimestampCheck::default();

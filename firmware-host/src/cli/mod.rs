@@ -31,15 +31,15 @@ use std::sync::atomic::{AtomicBool, Ordering};
     version,
     about,
     after_help = "Examples:\n  \
-        gelstereo-host run                               the whole job with simulated sensor, gripper and robot\n  \
-        gelstereo-host run --config cell.toml --json     your own cell; the summary as JSON\n  \
-        gelstereo-host teach --output goal.json          record the goal by touch instead of typing its pose\n  \
-        gelstereo-host sense --jsonl                     contact and pose of a simulated grasp, a line a frame\n  \
-        gelstereo-host replay out/run.mcap               compute a recording again and compare every bit\n  \
-        gelstereo-host recover out/run.mcap              copy a recording that was cut off, with an index\n  \
-        gelstereo-host simulate scene.toml out/pairs     image pairs and truth from a scene\n  \
-        gelstereo-host check --print-default > cell.toml all settings to start from\n  \
-        gelstereo-host doctor                            what is connected, and whether the job would start\n\n\
+        gelstereo-host run                            the whole job with simulated devices\n  \
+        gelstereo-host run --config cell.toml --json  your own cell; the summary as JSON\n  \
+        gelstereo-host teach --output goal.json       record the goal by touch instead of typing its pose\n  \
+        gelstereo-host sense --jsonl                  contact and pose of a simulated grasp by frame\n  \
+        gelstereo-host replay out/run.mcap            compute a recording again and compare every bit\n  \
+        gelstereo-host recover out/run.mcap           copy a recording that was cut off, with an index\n  \
+        gelstereo-host simulate scene.toml out/pairs  image pairs and truth from a scene\n  \
+        gelstereo-host check --print-default          all settings to start from\n  \
+        gelstereo-host doctor                         what is connected, and whether the job would start\n\n\
         Exit code: 0 when the job is done or all is well, 1 when not, 2 for an error."
 )]
 struct Arguments {

@@ -126,8 +126,8 @@ fn print_summary(report: &JobReport) -> Result<(), CliError> {
     }
     if let Some(truth) = &report.truth {
         say(format_args!(
-            "  simulated truth: tip off by {:.3} mm and {:.2} mrad across, {:.3} mm along; inserted {:.2} mm; \
-             the outcome above is {}",
+            "  simulated truth: tip off by {:.3} mm and {:.2} mrad across, {:.3} mm along; inserted {:.2} \
+             mm; the outcome above is {}",
             truth.tip_error_mm,
             truth.tilt_error_rad * 1e3,
             truth.axial_error_mm,

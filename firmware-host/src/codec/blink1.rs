@@ -105,8 +105,8 @@ impl fmt::Display for Blink1Error {
             Self::Fade { found_ms } => write!(f, "fade_ms is {found_ms}; valid is 0 to {MAX_FADE_MS}"),
             Self::Answer { expected, found, length } => write!(
                 f,
-                "the light answered command '{}' with {length} bytes that start {found:02x?}; is another program \
-                 using it?",
+                "the light answered command '{}' with {length} bytes that start {found:02x?}; is another \
+                 program using it?",
                 char::from(*expected)
             ),
         }

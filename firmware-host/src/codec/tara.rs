@@ -166,7 +166,8 @@ impl fmt::Display for TaraError {
             Self::Value { name, found, valid } => write!(f, "{name} is {found}; valid is {valid}"),
             Self::Packet { expected, found } => write!(
                 f,
-                "packet {found} of the calibration file came where {expected} was expected; read the file again"
+                "packet {found} of the calibration file came where {expected} was expected; read the file \
+                again"
             ),
         }
     }

@@ -126,8 +126,8 @@ impl std::fmt::Display for ConfigError {
             }
             Self::TooSlow { name, planned_s, limit_s } => write!(
                 f,
-                "{name} is too slow: the way takes {planned_s:.1} s, but task.stage_timeout_s is {limit_s} s; raise one of \
-                 them"
+                "{name} is too slow: the way takes {planned_s:.1} s, but task.stage_timeout_s is {limit_s} \
+                 s; raise one of them"
             ),
             Self::Contradiction { name, found, other, advice } => {
                 write!(f, "{name} is {found}, but {other}; {advice}")

@@ -1,5 +1,5 @@
-//! The one configuration of the host, as TOML. [`Config::default`] is the embedded default: a simulated sensor, robot
-//! and gripper, and a peg.
+//! The one configuration of the host, as TOML. [`Config::default`] is the embedded default: a simulated
+//! sensor, robot and gripper, and a peg.
 //!
 //! Settings of the pipeline are [`Params`]; a file names a preset and states only what differs from it.
 
@@ -31,7 +31,7 @@ use crate::gripper::GripperConfig;
 use crate::part::PartConfig;
 use gelstereo_core::frames::{FingerKinematics, SensorMount};
 use gelstereo_core::math::{DVec3, Pose};
-use gelstereo_core::params::Params;
+use gelstereo_core::params::{Channel, Params};
 use gelstereo_core::rig::Rig;
 use gelstereo_sim::{Gel, Scene, Shape};
 use serde::{Deserialize, Serialize};
@@ -214,6 +214,7 @@ impl Config {
     /// The first [`ConfigError`] found.
     pub fn validate(&self) -> Result<(), ConfigError> {
         self.params.validate().map_err(ConfigError::Params)?;
+        check_channel(self.params.detect.channel)?;
         range::check_seed("params.register.ransac_icp.seed", self.params.register.ransac_icp.seed)?;
         self.mount.validate().map_err(ConfigError::Mount)?;
         let rig = self.rig()?;
@@ -248,6 +249,22 @@ impl Config {
     pub fn validate_task(&self) -> Result<(), ConfigError> {
         self.source.validate_blind_travel(&self.task)
     }
+}
+
+/// Refuses a channel that the host cannot deliver: its sources decode luma only.
+fn check_channel(channel: Channel) -> Result<(), ConfigError> {
+    let found = match channel {
+        Channel::Auto | Channel::Grey => return Ok(()),
+        Channel::Red => "\"red\"",
+        Channel::Green => "\"green\"",
+        Channel::Blue => "\"blue\"",
+    };
+    Err(ConfigError::Contradiction {
+        name: "params.detect.channel",
+        found: found.to_owned(),
+        other: "gelstereo-host decodes grey images only".to_owned(),
+        advice: "set \"auto\" or \"grey\", or use gelstereo.Pipeline in Python with colour images",
+    })
 }
 
 /// Reads a text as the named type, whose keys are in the reference.

@@ -66,8 +66,8 @@ pub fn advise(permissions: Permissions, group: Option<&str>, device: UdevMatch<'
             "only the group {group} may use it: run `sudo usermod -aG {group} $USER` and log in again"
         ),
         _ => format!(
-            "put this line into /etc/udev/rules.d/70-gelstereo.rules, run `sudo udevadm control --reload` and plug the \
-             device in again: {}",
+            "put this line into /etc/udev/rules.d/70-gelstereo.rules, run `sudo udevadm control --reload` \
+             and plug the device in again: {}",
             udev_rule(device, node)
         ),
     }

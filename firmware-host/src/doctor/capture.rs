@@ -39,7 +39,8 @@ pub(super) fn judge(measured: &CameraStatistics, asked_hz: f64, last_event: Opti
     };
     let ms = |value: Option<f64>| value.map_or("unknown".to_owned(), |ms| format!("{ms:.1} ms"));
     let found = format!(
-        "{rate_hz:.1} of {asked_hz:.1} Hz, latency to the decoded pair p50 {}, p99 {}, {} pairs lost, {} corrupt{last}",
+        "{rate_hz:.1} of {asked_hz:.1} Hz, latency to the decoded pair p50 {}, p99 {}, {} pairs lost, {} \
+        corrupt{last}",
         ms(measured.latency_p50_ms),
         ms(measured.latency_p99_ms),
         measured.dropped,

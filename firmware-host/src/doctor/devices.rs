@@ -112,7 +112,8 @@ fn serial_finding(roots: &Roots, port: &SerialPort) -> Finding {
         Some(ms) if ms > MAX_LATENCY_TIMER_MS => {
             let name = port.path.file_name().unwrap_or_default().to_string_lossy();
             let advice = format!(
-                "answers come up to {ms} ms late: run `echo 1 | sudo tee /sys/class/tty/{name}/device/latency_timer`"
+                "answers come up to {ms} ms late: run `echo 1 | sudo tee \
+                /sys/class/tty/{name}/device/latency_timer`"
             );
             Finding::warn(SUBJECT, port.to_string(), advice)
         }

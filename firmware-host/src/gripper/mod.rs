@@ -112,18 +112,19 @@ impl fmt::Display for GripperError {
             Self::NotActivated => {
                 write!(
                     f,
-                    "the gripper is not activated; activate it, and wait until its fingers stand, before the first move"
+                    "the gripper is not activated; activate it, and wait until its fingers stand, before the \
+                    first move"
                 )
             }
             Self::Holds => write!(
                 f,
-                "the gripper holds something and must be activated again, which drops it; take the part out, open the \
-                 gripper, then start again"
+                "the gripper holds something and must be activated again, which drops it; take the part out, \
+                 open the gripper, then start again"
             ),
             Self::Silent { port, waited_ms } => write!(
                 f,
-                "the gripper on {port} has not answered for {waited_ms} ms; is it powered, and are port, baud rate and \
-                 unit right?"
+                "the gripper on {port} has not answered for {waited_ms} ms; is it powered, and are port, \
+                 baud rate and unit right?"
             ),
             Self::Port { port, message } => write!(f, "gripper port {port}: {message}"),
             Self::Fault { message } => write!(f, "gripper fault: {message}"),

@@ -50,7 +50,8 @@ impl fmt::Display for WidthTableError {
             Self::TooFew { found } => write!(f, "the width table has {found} points; valid is two or more"),
             Self::Order { index } => write!(
                 f,
-                "point {index} of the width table is out of order; counts must rise, and widths fall or rise all the way"
+                "point {index} of the width table is out of order; counts must rise, and widths fall or rise \
+                all the way"
             ),
             Self::Bound { found } => write!(f, "max_error_mm is {found}; valid is 0 or more"),
         }
@@ -133,5 +134,38 @@ impl WidthTable {
         })?;
         let [[low, from_mm], [high, to_mm]] = [pair[0], pair[1]];
         Some(low + (high - low) * (width_mm - from_mm) / (to_mm - from_mm))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        /// Widths of a table have their counts, those at its ends included; beyond them there is none.
+        #[test]
+        fn counts_and_widths_undo_each_other(
+            start_mm in 1.0..50.0_f64, steps in prop::collection::vec((1.0..90.0_f64, 0.1..20.0_f64), 1..8),
+            falls in any::<bool>(), share in 0.0..=1.0_f64,
+        ) {
+            let sign = if falls { -1.0 } else { 1.0 };
+            let mut points = vec![[3.0, start_mm]];
+            for (count, mm) in steps {
+                let [last_count, last_mm] = points[points.len() - 1];
+                points.push([last_count + count, last_mm + sign * mm]);
+            }
+            let table = WidthTable::new(points.clone(), 0.5).unwrap();
+            let (min_mm, max_mm) = table.range_mm();
+            let between = min_mm + share * (max_mm - min_mm);
+            for width_mm in points.iter().map(|point| point[1]).chain([between.clamp(min_mm, max_mm)]) {
+                let count = table.count(width_mm).unwrap();
+                prop_assert!((table.width_mm(count) - width_mm).abs() < 1e-9, "{width_mm} at {count}");
+            }
+            for width_mm in [min_mm - 1e-6, max_mm + 1e-6, f64::NAN] {
+                prop_assert_eq!(table.count(width_mm), None);
+            }
+        }
     }
 }

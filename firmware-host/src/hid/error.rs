@@ -80,8 +80,8 @@ impl fmt::Display for HidError {
             }
             Self::PermissionDenied { path, rule } => write!(
                 f,
-                "permission denied for {}; put this line into /etc/udev/rules.d/70-gelstereo.rules, add yourself to \
-                 the group plugdev and plug the device in again: {rule}",
+                "permission denied for {}; put this line into /etc/udev/rules.d/70-gelstereo.rules, add \
+                 yourself to the group plugdev and plug the device in again: {rule}",
                 path.display()
             ),
             Self::Disconnected { path } => write!(f, "the HID device {} was unplugged", path.display()),
@@ -99,8 +99,8 @@ impl fmt::Display for HidError {
                 if found.is_empty() { "none".to_owned() } else { found.join(", ") }
             ),
             Self::Unsupported => f.write_str(
-                "HID devices are opened by Linux's hidraw, which this system does not have; use gelstereo.hid in \
-                 Python, which goes by hidapi",
+                "HID devices are opened by Linux's hidraw, which this system does not have; use \
+                 gelstereo.hid in Python, which uses hidapi",
             ),
         }
     }

@@ -51,8 +51,8 @@ impl std::fmt::Display for RecordingError {
             Self::Content { place, error } => write!(f, "{place} of the recording: {error}"),
             Self::NoConfig => write!(
                 f,
-                "the recording holds no {METADATA_CONFIG} before its first message or its end; only recordings of \
-                 `gelstereo-host run` can be replayed"
+                "the recording holds no {METADATA_CONFIG} before its first message or its end; only \
+                 recordings of `gelstereo-host run` can be replayed"
             ),
         }
     }

@@ -40,8 +40,8 @@ impl std::fmt::Display for Recovered {
             (false, 0) => write!(f, "the recording was not closed; it ends after a complete record"),
             (false, bytes) => write!(
                 f,
-                "the recording was cut off; its last {bytes} bytes are part of a record, of which whole messages were \
-                 copied"
+                "the recording was cut off; its last {bytes} bytes are part of a record, of which whole \
+                 messages were copied"
             ),
         }
     }

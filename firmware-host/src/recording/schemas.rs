@@ -49,7 +49,8 @@ pub const STRING: Schema = Schema { name: "std_msgs/msg/String", definition: "st
 pub const IMAGE: Schema = Schema {
     name: "sensor_msgs/msg/Image",
     definition: concat!(
-        "std_msgs/Header header\nuint32 height\nuint32 width\nstring encoding\nuint8 is_bigendian\nuint32 step\n",
+        "std_msgs/Header header\nuint32 height\nuint32 width\nstring encoding\n",
+        "uint8 is_bigendian\nuint32 step\n",
         "uint8[] data\n",
         header!()
     ),

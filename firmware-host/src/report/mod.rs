@@ -177,7 +177,8 @@ impl std::fmt::Display for Outcome {
             }
             Self::Jammed { depth_mm, within_mm } => write!(
                 f,
-                "jammed: stopped by the insertion trigger at a depth of {depth_mm:.2} mm, within {within_mm:.2} mm"
+                "jammed: stopped by the insertion trigger at a depth of {depth_mm:.2} mm, within \
+                {within_mm:.2} mm"
             ),
             Self::Taught { position_mm: [x, y, z] } => {
                 write!(f, "taught: the part was localized in its goal at ({x:.2}, {y:.2}, {z:.2}) mm")
@@ -185,13 +186,14 @@ impl std::fmt::Display for Outcome {
             Self::NothingFelt { depth_mm } => {
                 write!(
                     f,
-                    "no contact down to a depth of {depth_mm:.2} mm: there is no part, or the hole has no bottom"
+                    "no contact down to a depth of {depth_mm:.2} mm: there is no part, or the hole has no \
+                    bottom"
                 )
             }
             Self::EdgeNotFelt { edge, travel_mm } => write!(
                 f,
-                "edge not felt: nothing stopped the part on a way of {travel_mm:.2} mm to face {edge} of task.edges; is it \
-                 where the configuration says?"
+                "edge not felt: nothing stopped the part on a way of {travel_mm:.2} mm to face {edge} of \
+                 task.edges; is it where the configuration says?"
             ),
             Self::NotGrasped { motion_px, width_mm } => write!(
                 f,
@@ -200,7 +202,8 @@ impl std::fmt::Display for Outcome {
             Self::NotLocalized { reason } => write!(f, "not localized: {reason}"),
             Self::Declined { chance, looks, weakest } => write!(
                 f,
-                "declined: the chance of insertion is {chance:.3} after {looks} looks; least known is {weakest}"
+                "declined: the chance of insertion is {chance:.3} after {looks} looks; least known is \
+                {weakest}"
             ),
             Self::SourceEnded { stage } => write!(f, "no more stereo pairs during {}", stage.name()),
             Self::Interrupted { stage } => write!(f, "interrupted during {}", stage.name()),

@@ -206,3 +206,25 @@ mod notify {
     pub const fn status(_: &str) {}
     pub const fn stopping() {}
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn a_host_in_trouble_says_so_in_its_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("health.json");
+        let supervisor = Supervisor::new(Some(path.clone()));
+        let read = || -> Health { serde_json::from_str(&std::fs::read_to_string(&path).unwrap()).unwrap() };
+        supervisor.status(&Status::default()).unwrap();
+        assert!(read().healthy && check(&path, 60.0).is_ok());
+        let trouble = Some("no image for 2 s".to_owned());
+        supervisor.status(&Status { trouble: trouble.clone(), ..Status::default() }).unwrap();
+        assert_eq!((read().healthy, read().trouble), (false, trouble));
+        assert!(matches!(check(&path, 60.0), Err(HealthError::Trouble { .. })));
+        supervisor.stopping();
+        assert!(matches!(check(&path, 60.0), Err(HealthError::Read { .. })));
+    }
+}

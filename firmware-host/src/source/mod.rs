@@ -295,7 +295,8 @@ impl std::fmt::Display for SourceError {
             ),
             Self::NoPartner { path, missing } => write!(
                 f,
-                "{} has no partner: there is no {missing} image of the same number; add it or remove this one",
+                "{} has no partner: there is no {missing} image of the same number; add it or remove this \
+                one",
                 path.display()
             ),
             Self::Ambiguous { first, second } => write!(

@@ -151,7 +151,9 @@ mod tests {
         /// Generated names sort like the tuples that they are made of.
         #[test]
         fn the_order_is_that_of_the_numbers(
-            mut tuples in proptest::collection::vec(("[a-c_-]{1,2}", 0u64..2000, "[a-c]{1,2}", any::<u64>()), 2..40),
+            mut tuples in proptest::collection::vec(
+                ("[a-c_-]{1,2}", 0u64..2000, "[a-c]{1,2}", any::<u64>()), 2..40,
+            ),
             zeros in 0usize..4,
         ) {
             // Padding all numbers alike with zeros changes nothing.

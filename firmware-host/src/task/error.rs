@@ -106,18 +106,18 @@ impl std::fmt::Display for TaskError {
             ),
             Self::Late { stage, took, limit } => write!(
                 f,
-                "{}: a result came {:.0} ms after its image while something moved, later than {:.0} ms; everything \
-                 was stopped (task.max_late_periods)",
+                "{}: a result came {:.0} ms after its image while something moved, later than {:.0} ms; \
+                 everything was stopped (task.max_late_periods)",
                 stage.name(),
                 took.as_secs_f64() * 1e3,
                 limit.as_secs_f64() * 1e3
             ),
             Self::TriggerInNoise { name, found_px, bound_px, level_px, sigma_px, frames } => write!(
                 f,
-                "the {name} trigger of {found_px:.4} px lies in this sensor's noise, which over {frames} frames at rest \
-                 was {level_px:.4} px with a standard deviation of {sigma_px:.4} px; valid is {bound_px:.4} px, \
-                 {MIN_SIGMAS} sigmas, or more, and a noise above zero; raise task.{name}_trigger_sigmas or \
-                 params.contact.{name}_trigger_px"
+                "the {name} trigger of {found_px:.4} px lies in this sensor's noise, which over {frames} \
+                 frames at rest was {level_px:.4} px with a standard deviation of {sigma_px:.4} px; valid is \
+                 {bound_px:.4} px, {MIN_SIGMAS} sigmas, or more, and a noise above zero; raise \
+                 task.{name}_trigger_sigmas or params.contact.{name}_trigger_px"
             ),
             Self::StageTimeout { stage, limit_s } => write!(
                 f,

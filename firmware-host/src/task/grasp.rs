@@ -13,6 +13,9 @@ use crate::report::{Outcome, Stage};
 const STALE_FRAMES: u32 = 2;
 
 /// Closes the fingers until the mean marker motion reaches the grasp trigger.
+///
+/// The gripper's status is newer than the frame. Fingers that stand still without a trigger are therefore
+/// judged by a frame that was exposed after they stopped.
 pub(super) fn grasp(cell: &mut Cell) -> Result<(), Halt> {
     cell.log.begin(Stage::Close);
     let task = &cell.config.task;
@@ -20,13 +23,15 @@ pub(super) fn grasp(cell: &mut Cell) -> Result<(), Halt> {
     let trigger = Trigger { motion_px, stops: Stops::Gripper, cause: "grasp" };
     let (min_mm, _) = cell.config.mount.kinematics.width_range_mm();
     cell.move_gripper(min_mm, task.closing_speed_mm_s, Guard::Triggered)?;
+    let mut still_frames = 0;
     let motion_px = loop {
         let felt = cell.guarded_frame(&trigger)?;
         if felt.triggered {
             break felt.motion_px;
         }
         let status = cell.devices.gripper.status()?;
-        if !status.moving {
+        still_frames = if status.moving { 0 } else { still_frames + 1 };
+        if still_frames > STALE_FRAMES {
             let (motion_px, width_mm) = (felt.motion_px, status.width_mm);
             return Err(Halt::Outcome(Outcome::NotGrasped { motion_px, width_mm }));
         }

@@ -98,6 +98,25 @@ mod tests {
         samples
     }
 
+    /// Of lines through five noisy frames, the mean stated variance is that of the positions found. Each
+    /// variance has three degrees of freedom; the mean of 4000 is known to 1.3 %, the spread of the positions
+    /// to 2.2 %.
+    #[test]
+    fn a_short_line_knows_how_well_it_is_known() {
+        let mut stream = Stream::new(5, "lines");
+        let (mut stated, mut squares) = (0.0, 0.0);
+        for _ in 0..4000 {
+            let sample = |k: i32| Sample {
+                travel_mm: 1.0 + 0.03 * f64::from(k),
+                motion_px: 0.45 * f64::from(k + 1) + 0.01 * stream.normal(),
+            };
+            let found = line_onset(&(0..5).map(sample).collect::<Vec<_>>(), 0.0).unwrap();
+            stated += found.sigma_mm * found.sigma_mm;
+            squares += (found.travel_mm - 0.97) * (found.travel_mm - 0.97);
+        }
+        assert!((stated / squares - 1.0).abs() < 4.0 * 0.026, "{}", stated / squares);
+    }
+
     proptest! {
         #[test]
         fn the_touch_is_found_within_its_own_sigmas(

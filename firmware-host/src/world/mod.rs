@@ -47,9 +47,9 @@ impl std::fmt::Display for WorldError {
             Self::Width(error) => error.fmt(f),
             Self::NoPeg => write!(
                 f,
-                "the simulated hole takes round and rectangular pegs: part.shape (or simulated.shape) must be \
-                 {{ kind = \"cylinder\", .. }} or {{ kind = \"box\", .. }}, and task.insertion_axis [0, 0, 1] or \
-                 [0, 0, -1]"
+                "the simulated hole takes round and rectangular pegs: part.shape (or simulated.shape) must \
+                 be {{ kind = \"cylinder\", .. }} or {{ kind = \"box\", .. }}, and task.insertion_axis [0, \
+                 0, 1] or [0, 0, -1]"
             ),
         }
     }

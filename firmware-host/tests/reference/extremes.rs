@@ -50,15 +50,16 @@ fn run_with_any_valid_extreme_stops_and_writes_no_more_than_its_frames() {
         assert!(took < Duration::from_secs(90), "{path} = {number} ends after {took:?}: {:?}", result.err());
         println!("{path} = {number}: {:.1} s, {frames} frames", took.as_secs_f64());
         let written = std::fs::metadata(&config.recording.path).map_or(0, |file| file.len());
-        // Two images of 640 x 480 per frame, and its results. Frames of the stage that was cut short are not counted.
+        // Two images of 640 x 480 per frame, and its results. Frames of the stage that was cut short are not
+        // counted.
         let bound = 2_000_000 * (frames + 200 * took.as_secs().max(1));
         assert!(written <= bound, "{path} = {number} writes {written} bytes in {frames} frames, {took:?}");
         let _ = std::fs::remove_file(&config.recording.path);
     }
 }
 
-/// The default configuration with each number replaced by its smallest and largest valid value, where the other
-/// settings permit that.
+/// The default configuration with each number replaced by its smallest and largest valid value, where the
+/// other settings permit that.
 fn extremes(folder: &Path) -> Vec<(String, Value, Config)> {
     let documented = documented();
     let mut found = Vec::new();

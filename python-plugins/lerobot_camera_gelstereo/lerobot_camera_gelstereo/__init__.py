@@ -1,4 +1,6 @@
-"""GelStereo tactile sensors as LeRobot cameras. Importing this package registers the camera type ``gelstereo``."""
+"""GelStereo tactile sensors as LeRobot cameras. Importing this package registers the camera type
+``gelstereo``.
+"""
 
 from .camera_gelstereo import GelStereoCamera
 from .config_gelstereo import GelStereoCameraConfig

@@ -1,4 +1,6 @@
-"""A GelStereo sensor as LeRobot's `Camera`: a thread reads the sensor, and reading gives the newest picture."""
+"""A GelStereo sensor as LeRobot's `Camera`: a thread reads the sensor, and reading gives the
+newest picture.
+"""
 
 from __future__ import annotations
 
@@ -27,8 +29,8 @@ _STOP_TIMEOUT_S = 5.0
 class GelStereoCamera(Camera):
     """A GelStereo sensor, a simulated one, or a folder of its images, as LeRobot sees cameras.
 
-    Pictures are (height, width, 3) uint8, red green blue. Frames that the source marks as stale are never handed out
-    as new ones; reading raises ``TimeoutError`` instead, with the source's last event.
+    Pictures are (height, width, 3) uint8, red green blue. Frames that the source marks as stale are never
+    handed out as new ones; reading raises ``TimeoutError`` instead, with the source's last event.
     """
 
     def __init__(self, config: GelStereoCameraConfig) -> None:
@@ -137,7 +139,8 @@ class GelStereoCamera(Camera):
         self._source = self._thread = None
 
     def read(self) -> Picture:
-        """The next picture, which is newer than this call; `config.connect_timeout_s` is how long it is waited for.
+        """The next picture, which is newer than this call; `config.connect_timeout_s` is how long it is
+        waited for.
 
         Raises
         ------
@@ -189,7 +192,8 @@ class GelStereoCamera(Camera):
         age_ms = 1e3 * (time.monotonic() - taken_s)
         if age_ms > max_age_ms:
             raise TimeoutError(
-                f"the newest picture of {self} is {age_ms:.0f} ms old; valid is up to {max_age_ms:g}{self._told()}"
+                f"the newest picture of {self} is {age_ms:.0f} ms old; valid is up to "
+                f"{max_age_ms:g}{self._told()}"
             )
         return picture
 

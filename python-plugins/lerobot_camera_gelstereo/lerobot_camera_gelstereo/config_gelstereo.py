@@ -20,26 +20,29 @@ class GelStereoCameraConfig(CameraConfig):
     Attributes
     ----------
     fps, width, height : int, optional
-        Frames a second and size of the picture. LeRobot's robots need all three. A size that differs from what the
-        source gives is an error, except for ``motion``, which is made in any size.
+        Frames a second and size of the picture. LeRobot's robots need all three. A size that differs from
+        what the source gives is an error, except for ``motion``, which is made in any size.
     source : str
-        ``camera``, ``scene`` (a simulated sensor) or ``folder`` (images ``left/NAME.png`` and ``right/NAME.png``).
+        ``camera``, ``scene`` (a simulated sensor) or ``folder`` (images ``left/NAME.png`` and
+        ``right/NAME.png``).
     device, right_device : str, optional
-        The camera: its path, or ``serial:`` and its USB serial number; the second one if each view has a device of its
-        own.
+        The camera: its path, or ``serial:`` and its USB serial number; the second one if each view has a
+        device of its own.
     settings : dict
-        Anything else that `gelstereo.cameras.open` takes, for example ``{layout: interleaved, exposure_us: 8000}``.
+        Anything else that `gelstereo.cameras.open` takes, for example ``{layout: interleaved, exposure_us:
+        8000}``.
     path : Path, optional
         The scene's file or the folder.
     picture : str
-        ``left``: the left image. ``pair``: left and right image side by side. ``motion``: how markers moved since the
-        first frame, one cell each: x, y and z displacement as red, green and blue around 128.
+        ``left``: the left image. ``pair``: left and right image side by side. ``motion``: how markers moved
+        since the first frame, one cell each: x, y and z displacement as red, green and blue around 128.
     rig : Path, optional
         Rig file, for ``motion``. A scene has its own; of a folder it is ``rig.toml`` in it if left out.
     preset : str
         Settings of the pipeline, for ``motion``.
     motion_full_scale_mm : float
-        Displacement that reaches black or full colour. Two millimetres are as deep as a 5 mm gel is usually pressed.
+        Displacement that reaches black or full colour. Two millimetres are as deep as a 5 mm gel is usually
+        pressed.
     max_stale_ms : float
         After so long without a new frame, reading is an error. Frames at 30 Hz are 33 ms apart.
     connect_timeout_s : float

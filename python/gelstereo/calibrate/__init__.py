@@ -1,8 +1,9 @@
-"""Stereo calibration: from images of a chessboard to a rig.
+"""Stereo calibration: from images of a board to a rig.
 
-The board must be flat, and stand still while both cameras take a picture. A good calibration takes ten or more poses
-that are tilted in several directions and cover the whole image. For a gel sensor, print the board on a separate gel
-(section II of the paper), because gel and acrylic bend light.
+The board is a chessboard, a ChArUco board or a grid of AprilTags. It must be flat, and stand still while both
+cameras take a picture. A good calibration takes ten or more poses that are tilted in several directions and
+cover the whole image. For a gel sensor, print the board on a separate gel (section II of the paper), because
+gel and acrylic bend light.
 """
 
 from __future__ import annotations
@@ -11,10 +12,12 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
+from gelstereo.extras import needs
+
+from .boards import MIN_CORNERS, AprilTagBoard, Board, CharucoBoard, Chessboard, board_of, determines_pose
 from .checks import coverage_hints, held_out_errors, outlying, refuse_contradictions
 from .corners import CornerFinder
 from .errors import (
@@ -28,14 +31,20 @@ from .errors import (
     UnpairedImagesError,
 )
 from .layers import Combination, Doubt, LayersCalibration, SeatedFrame, calibrate_layers
-from .observe import Observation, Progress, observe
-from .pairs import ImagePair, pair_images
+from .observe import Observation, Progress, observe, observe_tags
+from .pairs import ImagePair, names_swapped, pair_images
 from .report import HeldOut, PairReport, Rectification, StereoCalibration
-from .solve import Mono, Stereo, board_points_mm, solve_mono, solve_stereo
+from .solve import Mono, Stereo, seen, solve_mono, solve_stereo
+
+with needs(__name__):
+    import cv2
 
 __all__ = [
+    "AprilTagBoard",
     "BoardNotFoundError",
     "CalibrationError",
+    "CharucoBoard",
+    "Chessboard",
     "Combination",
     "Doubt",
     "HeldOut",
@@ -69,14 +78,14 @@ def calibrate_stereo(
     left_paths: Iterable[str | Path],
     right_paths: Iterable[str | Path],
     *,
-    board: tuple[int, int],
-    square_mm: float,
+    board: tuple[int, int] | Board,
+    square_mm: float | None = None,
     time_limit_s: float = 10.0,
     drop_outliers: bool = False,
     refine_intrinsics: bool = True,
     progress: Progress | None = None,
 ) -> StereoCalibration:
-    """Calibrate a stereo pair from images of a chessboard.
+    """Calibrate a stereo pair from images of a chessboard, a ChArUco board or AprilTags.
 
     Parameters
     ----------
@@ -85,9 +94,10 @@ def calibrate_stereo(
     right_paths
         Images of the right camera.
     board
-        Inner corners (columns, rows); a board of 10x7 squares has 9x6.
+        Inner corners (columns, rows) of a chessboard; a board of 10x7 squares has 9x6. Or a `CharucoBoard` or
+        `AprilTagBoard`, of which every image may show a part.
     square_mm
-        Side of a square.
+        Side of a square of a chessboard; boards with tags state their own lengths.
     time_limit_s
         Time limit of the corner search in one image. An image that exceeds it is left out and reported.
     drop_outliers
@@ -104,13 +114,16 @@ def calibrate_stereo(
         `UnpairedImagesError`, `ImageError`, `BoardNotFoundError`, `TooFewPairsError`, `SwappedViewsError` and
         `MismatchedPairsError`.
     """
-    _check_board(board, square_mm)
+    known = board_of(board, square_mm)
     report = progress or (lambda done, total, what: None)
     pairs = pair_images(left_paths, right_paths)
     if len(pairs) < MIN_PAIRS:
         raise _too_few(len(pairs), [])
     with CornerFinder(time_limit_s) as finder:
-        observations = observe(pairs, board, finder, report)
+        if isinstance(known, Chessboard):
+            observations = observe(pairs, known.corners, finder, report)
+        else:
+            observations = observe_tags(pairs, known, finder, report)
     used = [o for o in observations if o.problem is None]
     if len(used) < MIN_PAIRS:
         raise _too_few(len(used), [o for o in observations if o.problem is not None])
@@ -120,17 +133,20 @@ def calibrate_stereo(
             f"{used[0].right.size_px} px; both cameras must have the same size",
             used[0].pair.right,
         )
+    named = names_swapped([o.pair.left for o in used], [o.pair.right for o in used])
     calibration = calibrate_corners(
         [o.left.corners_px for o in used if o.left.corners_px is not None],
         [o.right.corners_px for o in used if o.right.corners_px is not None],
         size_px=used[0].left.size_px,
-        board=board,
-        square_mm=square_mm,
+        board=known,
         names=[o.pair.name for o in used],
         drop_outliers=drop_outliers,
         refine_intrinsics=refine_intrinsics,
         progress=report,
     )
+    if named is not None:
+        hint = f"{named}, but their images show that they are in the right order: the names are wrong"
+        calibration = replace(calibration, hints=(hint, *calibration.hints))
     return _with_unused(calibration, observations)
 
 
@@ -139,8 +155,8 @@ def calibrate_corners(
     right_px: Sequence[Array],
     *,
     size_px: tuple[int, int],
-    board: tuple[int, int],
-    square_mm: float,
+    board: tuple[int, int] | Board,
+    square_mm: float | None = None,
     names: Sequence[str] | None = None,
     drop_outliers: bool = False,
     refine_intrinsics: bool = True,
@@ -151,7 +167,8 @@ def calibrate_corners(
     Parameters
     ----------
     left_px
-        Corners (columns * rows, 2) of every left image, row by row; ``right_px`` in the same numbering.
+        Corners (N, 2) of every left image, in the order of the board's ``points_mm()``: row by row for a
+        chessboard. NaN for a corner that is not seen; ``right_px`` in the same numbering.
     size_px
         Width and height of the images.
     names
@@ -159,11 +176,11 @@ def calibrate_corners(
 
         Other parameters as in `calibrate_stereo`.
     """
-    _check_board(board, square_mm)
-    _check_corners(left_px, right_px, board)
+    known = board_of(board, square_mm)
+    object_mm = known.points_mm()
+    _check_corners(left_px, right_px, len(object_mm))
     report = progress or (lambda done, total, what: None)
     names = list(names) if names is not None else [f"pair {i}" for i in range(len(left_px))]
-    object_mm = board_points_mm(board, square_mm)
     report(0, 4, "each camera on its own")
     left, right = solve_mono(object_mm, left_px, size_px), solve_mono(object_mm, right_px, size_px)
     report(1, 4, "whether the pairs agree")
@@ -177,19 +194,17 @@ def calibrate_corners(
             [left_px[i] for i in kept],
             [right_px[i] for i in kept],
             size_px=size_px,
-            board=board,
-            square_mm=square_mm,
+            board=known,
             names=[names[i] for i in kept],
             refine_intrinsics=refine_intrinsics,
             progress=progress,
         )
         return _with_dropped(again, names, outliers, stereo.per_image_px)
     report(3, 4, "held-out pairs")
-    held_out = held_out_errors(object_mm, left_px, right_px, size_px, board, square_mm, refine_intrinsics)
+    held_out = held_out_errors(left_px, right_px, size_px, known, refine_intrinsics)
     return StereoCalibration(
         size_px=size_px,
-        board=board,
-        square_mm=square_mm,
+        board=known,
         left=left,
         right=right,
         stereo=stereo,
@@ -203,24 +218,26 @@ def calibrate_corners(
     )
 
 
-def _check_board(board: tuple[int, int], square_mm: float) -> None:
-    if min(board) < 3:
-        raise CalibrationError(f"board is {board[0]}x{board[1]}; valid is at least 3x3 inner corners")
-    if not (square_mm > 0.0 and np.isfinite(square_mm)):
-        raise CalibrationError(f"square_mm is {square_mm}; valid is a finite length above 0 mm")
-
-
-def _check_corners(left_px: Sequence[Array], right_px: Sequence[Array], board: tuple[int, int]) -> None:
+def _check_corners(left_px: Sequence[Array], right_px: Sequence[Array], count: int) -> None:
     if len(left_px) != len(right_px) or len(left_px) < MIN_PAIRS:
         raise TooFewPairsError(
-            f"{len(left_px)} left and {len(right_px)} right images; valid is the same number, at least {MIN_PAIRS}",
+            f"{len(left_px)} left and {len(right_px)} right images; valid is the same number, at least "
+            f"{MIN_PAIRS}",
             min(len(left_px), len(right_px)),
             MIN_PAIRS,
         )
-    shape = (board[0] * board[1], 2)
     for corners in (*left_px, *right_px):
-        if corners.shape != shape or not np.isfinite(corners).all():
-            raise CalibrationError(f"corners have shape {corners.shape}; valid is {shape}, all finite")
+        if corners.shape != (count, 2) or np.isinf(corners).any():
+            raise CalibrationError(
+                f"corners have shape {corners.shape}; valid is ({count}, 2), NaN where not seen"
+            )
+    for at, (left, right) in enumerate(zip(left_px, right_px, strict=True)):
+        shared = np.where(seen(left, right)[:, None], left, np.nan)
+        if not determines_pose(shared):
+            raise CalibrationError(
+                f"both views of pair {at} see {int(seen(left, right).sum())} corners; valid are "
+                f"{MIN_CORNERS} or more, not all on one line"
+            )
 
 
 def _too_few(usable: int, unused: Sequence[Observation]) -> TooFewPairsError:

@@ -1,9 +1,10 @@
-"""Sparse bundle adjustment with individual parameters for each marker (Triggs et al., "Bundle adjustment", 2000).
+"""Sparse bundle adjustment with individual parameters for each marker (Triggs et al., "Bundle adjustment",
+2000).
 
-A marker's own parameters are eliminated by a singular value decomposition of their Jacobian. With singular values d and
-a prior variance v, the residuals have the variance 1 + d² v along the left singular vectors, and 1 across them.
-Dividing by the standard deviation makes them independent. Parameters without a prior have an infinite v; the residuals
-along them drop out.
+A marker's own parameters are eliminated by a singular value decomposition of their Jacobian. With singular
+values d and a prior variance v, the residuals have the variance 1 + d² v along the left singular vectors, and
+1 across them. Dividing by the standard deviation makes them independent. Parameters without a prior have an
+infinite v; the residuals along them drop out.
 """
 
 from __future__ import annotations
@@ -91,8 +92,8 @@ class Linearised:
         return float((self.marker_residual() ** 2).sum() + (self.prior_residual**2).sum())
 
     def covariance(self, times: float = 1.0) -> Array:
-        """Covariance of the shared parameters, with the stated noise scaled by a factor; 0 where the problem is
-        singular.
+        """Covariance of the shared parameters, with the stated noise scaled by a factor; 0 where the problem
+        is singular.
         """
         jacobian = np.concatenate([self.reduced_jacobian() / times, self.prior_jacobian])
         scale = 1.0 / np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
@@ -116,7 +117,8 @@ class Solution:
     shared, own
         Shared parameters, and the own parameters of the free markers.
     covariance
-        Covariance of the shared parameters. It is 0 where the problem is singular; callers must exclude that case.
+        Covariance of the shared parameters. It is 0 where the problem is singular; callers must exclude that
+        case.
     linearised
         The problem linearised at the solution.
     chi2, degrees_of_freedom
@@ -163,8 +165,8 @@ def minimise(linearise: Callable[[Array, Array], Linearised], start: tuple[Array
         if at_rest:
             return _solution(shared, own, at)
     raise CalibrationError(
-        "no layers explain the markers: the search does not converge; check the rig, the boards' heights, the "
-        "initial layers and their priors"
+        "no layers explain the markers: the search does not converge; check the rig, the boards' heights, "
+        "the initial layers and their priors"
     )
 
 

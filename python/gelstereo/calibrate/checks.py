@@ -7,17 +7,18 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from .boards import Board
 from .errors import MismatchedPairsError, SwappedViewsError
 from .report import HeldOut
-from .solve import Mono, Stereo, board_pose, project, solve_mono, solve_stereo
+from .solve import Mono, Stereo, board_pose, project, seen, solve_mono, solve_stereo
 
 __all__ = ["coverage_hints", "held_out_errors", "outlying", "refuse_contradictions"]
 
 Array = npt.NDArray[np.float64]
 
-#: A pair contradicts the others if the rig from the other pairs misses its corners by this factor over the usual error,
-#: and by at least this many pixels. Usual errors are below a few pixels. A pair from different moments is off by tens
-#: of pixels.
+#: A pair contradicts the others if the rig from the other pairs misses its corners by this factor over the
+#: usual error, and by at least this many pixels. Usual errors are below a few pixels. A pair from different
+#: moments is off by tens of pixels.
 _CONTRADICTION_RATIO = 10.0
 _CONTRADICTION_PX = 5.0
 #: An image is an outlier when its error exceeds this many times its view's median.
@@ -40,8 +41,8 @@ def refuse_contradictions(
 ) -> None:
     """Refuse swapped views, swapped pairs, and pairs whose two images show different moments.
 
-    The two board poses of a pair determine the pose of the right camera. The pose that explains most pairs is taken as
-    the rig's. Every pair is compared with it.
+    The two board poses of a pair determine the pose of the right camera. The pose that explains most pairs is
+    taken as the rig's. Every pair is compared with it.
     """
     poses = [_relative_pose(object_mm, a, b, left, right) for a, b in zip(left_px, right_px, strict=True)]
     boards = [board_pose(object_mm, corners, left.matrix, left.distortion) for corners in left_px]
@@ -89,11 +90,12 @@ def _transfer_px(
     object_mm: Array, board: tuple[Array, Array], right_px: Array, pose: tuple[Array, Array], right: Mono
 ) -> float:
     """Rms distance of the right view's corners from the projection of the board located in the left view."""
-    in_left = object_mm @ board[0].T + board[1]
+    mask = seen(right_px)
+    in_left = object_mm[mask] @ board[0].T + board[1]
     in_right = in_left @ pose[0].T + pose[1]
     if in_right[:, 2].min() <= 0.0:
         return 1e6  # behind the camera: a large finite error, so that it stays comparable
-    difference = project(in_right, right.matrix, right.distortion) - right_px
+    difference = project(in_right, right.matrix, right.distortion) - right_px[mask]
     return float(np.sqrt(np.mean(np.sum(difference**2, axis=1))))
 
 
@@ -103,7 +105,8 @@ def _refuse_swapped_views(pose: tuple[Array, Array]) -> None:
         x, y, z = right_camera_mm
         raise SwappedViewsError(
             f"according to the images, the right camera is at ({x:.2f}, {y:.2f}, {z:.2f}) mm in the left "
-            "camera's frame, which is to its left; exchange the left and the right images"
+            "camera's frame, which is to its left; exchange the left and the right images, whatever their "
+            "names say (cameras that are mounted upside down see each other exchanged)"
         )
 
 
@@ -114,16 +117,14 @@ def outlying(per_image_px: Array) -> npt.NDArray[np.bool_]:
 
 
 def held_out_errors(
-    object_mm: Array,
     left_px: Sequence[Array],
     right_px: Sequence[Array],
     size_px: tuple[int, int],
-    board: tuple[int, int],
-    square_mm: float,
+    board: Board,
     refine_intrinsics: bool,
 ) -> HeldOut | None:
     """Errors of a four-fold cross-validation over pairs, or ``None`` with fewer than eight pairs."""
-    count = len(left_px)
+    count, object_mm = len(left_px), board.points_mm()
     if count < 2 * _FOLDS:
         return None
     squared_px: list[float] = []
@@ -138,8 +139,8 @@ def held_out_errors(
         for i in range(fold, count, _FOLDS):
             located = board_pose(object_mm, left_px[i], stereo.left_matrix, stereo.left_distortion)
             squared_px.append(_transfer_px(object_mm, located, right_px[i], pose, view) ** 2)
-            sides_mm.append(_square_sides_mm(_triangulate(left_px[i], right_px[i], stereo), board))
-    error_mm = np.concatenate(sides_mm) - square_mm
+            sides_mm.append(_sides_mm(_triangulate(left_px[i], right_px[i], stereo), board))
+    error_mm = np.concatenate(sides_mm) - board.side_mm
     return HeldOut(
         transfer_px=float(np.sqrt(np.mean(squared_px))),
         square_mm=float(np.sqrt(np.mean(error_mm**2))),
@@ -148,19 +149,28 @@ def held_out_errors(
 
 
 def _triangulate(left_px: Array, right_px: Array, stereo: Stereo) -> Array:
-    """Points (N, 3) in the left camera's frame: linear triangulation of undistorted rays."""
+    """Points (N, 3) in the left camera's frame: linear triangulation of undistorted rays; NaN
+    where not seen.
+    """
     import cv2
 
-    left = cv2.undistortPoints(left_px.reshape(-1, 1, 2), stereo.left_matrix, stereo.left_distortion)
-    right = cv2.undistortPoints(right_px.reshape(-1, 1, 2), stereo.right_matrix, stereo.right_distortion)
+    mask = seen(left_px, right_px)
+    left = cv2.undistortPoints(left_px[mask].reshape(-1, 1, 2), stereo.left_matrix, stereo.left_distortion)
+    right = cv2.undistortPoints(
+        right_px[mask].reshape(-1, 1, 2), stereo.right_matrix, stereo.right_distortion
+    )
     projection = np.column_stack([stereo.r_right_left, stereo.t_right_left_mm])
     points = cv2.triangulatePoints(np.eye(3, 4), projection, left.reshape(-1, 2).T, right.reshape(-1, 2).T)
-    return np.asarray((points[:3] / points[3]).T, float)
+    found = np.full((len(left_px), 3), np.nan)
+    found[mask] = (points[:3] / points[3]).T
+    return found
 
 
-def _square_sides_mm(points_mm: Array, board: tuple[int, int]) -> Array:
-    grid = points_mm.reshape(board[1], board[0], 3)
-    return np.concatenate([np.linalg.norm(np.diff(grid, axis=axis), axis=-1).ravel() for axis in (0, 1)])
+def _sides_mm(points_mm: Array, board: Board) -> Array:
+    """Distances of neighbouring corners of which both were seen."""
+    one, other = board.edges().T
+    sides = np.linalg.norm(points_mm[one] - points_mm[other], axis=-1)
+    return np.asarray(sides[np.isfinite(sides)])
 
 
 def coverage_hints(
@@ -181,7 +191,8 @@ def coverage_hints(
     if len(left_px) < _MIN_PAIRS_ADVISED:
         hints.append(f"only {len(left_px)} pairs; {_MIN_PAIRS_ADVISED} or more average corner noise better")
     for view, corners in (("left", left_px), ("right", right_px)):
-        empty = _empty_cells(np.concatenate(list(corners)), size_px)
+        together = np.concatenate(list(corners))
+        empty = _empty_cells(together[seen(together)], size_px)
         if empty:
             hints.append(
                 f"no corner in the {view} view's {', '.join(empty)}: distortion there is extrapolated"
@@ -189,8 +200,8 @@ def coverage_hints(
     spread = _tilt_spread_rad([board_pose(object_mm, c, left.matrix, left.distortion)[0] for c in left_px])
     if spread < _MIN_TILT_SPREAD_RAD:
         hints.append(
-            f"the board's tilts differ by at most {np.rad2deg(spread):.0f} deg: focal length and distance can hardly "
-            "be told apart; tilt the board by 30 deg in several directions"
+            f"the board's tilts differ by at most {np.rad2deg(spread):.0f} deg: focal length and distance "
+            "can hardly be told apart; tilt the board by 30 deg in several directions"
         )
     for view, mono in (("left", left), ("right", right)):
         share = mono.focal_sigma_px / mono.matrix[0, 0]

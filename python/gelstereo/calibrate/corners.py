@@ -16,12 +16,13 @@ from typing import IO, Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from .boards import TagBoard, to_request
 from .errors import CalibrationError, ImageError
 
 __all__ = ["CornerFinder", "Corners", "Method", "neighbouring_boards"]
 
-#: ``classic`` grows quadrilaterals. ``sectors`` (OpenCV's "SB") matches corner templates; it is slower, and can report
-#: false corners on a board of another size.
+#: ``classic`` grows quadrilaterals. ``sectors`` (OpenCV's "SB") matches corner templates; it is slower, and
+#: can report false corners on a board of another size.
 Method = Literal["classic", "sectors"]
 
 _START_LIMIT_S = 60.0
@@ -34,7 +35,7 @@ class Corners:
 
     #: Width and height.
     size_px: tuple[int, int]
-    #: Corners (columns * rows, 2), row by row, or ``None`` when the board was not found.
+    #: Corners (N, 2) in the board's order, NaN where not seen, or ``None`` when the board was not found.
     corners_px: npt.NDArray[np.float64] | None
     #: Whether the search was ended at its time limit.
     timed_out: bool = False
@@ -77,14 +78,28 @@ class CornerFinder:
         ImageError
             The file cannot be read as an image, or the search crashed on it.
         """
+        return self._find({"path": str(path), "board": board, "method": method}, path)
+
+    def find_tags(self, path: Path, board: TagBoard) -> Corners:
+        """Search a board with tags in one image; errors as `find`."""
+        return self._find({"path": str(path), "board": to_request(board), "method": "tags"}, path)
+
+    def families(self, path: Path) -> list[str]:
+        """Dictionaries of which an image shows markers, the one with most markers first."""
+        reply = self._ask({"path": str(path), "method": "families"}, path)
+        return list(reply.get("families", [])) if reply is not None else []
+
+    def _ask(self, request: dict[str, Any], path: Path) -> dict[str, Any] | None:
         if self._worker is None:
             self._worker = _Worker()
-        request = {"path": str(path), "board": board, "method": method}
         try:
-            reply = self._worker.ask(request, self.time_limit_s)
+            return self._worker.ask(request, self.time_limit_s)
         except (CalibrationError, BrokenPipeError) as error:
             self.close()
             raise ImageError(f"the corner search ended while processing {path}: {error}", path) from error
+
+    def _find(self, request: dict[str, Any], path: Path) -> Corners:
+        reply = self._ask(request, path)
         if reply is None:
             self.close()
             return Corners(self._size_px(path), None, timed_out=True)
@@ -111,7 +126,8 @@ class _Worker:
 
     def __init__(self) -> None:
         command = [sys.executable, "-m", "gelstereo.calibrate.corner_worker"]
-        # In its own session: Ctrl-C reaches only the calling process, which then ends the worker without output.
+        # In its own session: Ctrl-C reaches only the calling process, which then ends the worker without
+        # output.
         self._process = subprocess.Popen(
             command,
             stdin=subprocess.PIPE,

@@ -1,7 +1,7 @@
 """Plausibility tests of a calibration of layers.
 
-The distribution of every test statistic under the model is known, so each limit follows from the accepted rate of false
-alarms.
+The distribution of every test statistic under the model is known, so each limit follows from the accepted
+rate of false alarms.
 """
 
 from __future__ import annotations
@@ -33,9 +33,10 @@ class Doubt:
     Attributes
     ----------
     kind
-        ``"pitch"``: the estimated pitch contradicts the stated one. ``"prior"``: another estimate contradicts its
-        prior. ``"misfit"``: residuals are larger than the noise, or correlated between neighbouring markers; the model
-        is then wrong. ``"print"``: markers lie too far from their nominal places in the lattice.
+        ``"pitch"``: the estimated pitch contradicts the stated one. ``"prior"``: another estimate contradicts
+        its prior. ``"misfit"``: residuals are larger than the noise, or correlated between neighbouring
+        markers; the model is then wrong. ``"print"``: markers lie too far from their nominal places in the
+        lattice.
     message
         What was found, what is plausible, and what to check.
     """
@@ -60,7 +61,8 @@ def doubts_of(model: Model, solution: Solution, print_sigma_mm: float) -> tuple[
 def _priors(model: Model, solution: Solution, rate: float) -> list[Doubt]:
     """Estimates that contradict their priors.
 
-    The distance of an estimate from the prior's mean has the variance by which the frames reduced the prior's variance.
+    The distance of an estimate from the prior's mean has the variance by which the frames reduced the prior's
+    variance.
     """
     limit = NormalDist().inv_cdf(1.0 - 0.5 * rate)
     found = []
@@ -73,8 +75,8 @@ def _priors(model: Model, solution: Solution, rate: float) -> list[Doubt]:
         found.append(
             Doubt(
                 kind,
-                f"{name} is off by {off:+.4f} from what was stated with a tolerance of {sigma:.4f}; chance allows "
-                f"{limit * max(narrowed, 0.0) ** 0.5:.4f}",
+                f"{name} is off by {off:+.4f} from what was stated with a tolerance of {sigma:.4f}; chance "
+                f"allows {limit * max(narrowed, 0.0) ** 0.5:.4f}",
             )
         )
     return found
@@ -90,9 +92,9 @@ def _misfit(model: Model, solution: Solution, rate: float) -> list[Doubt]:
     return [
         Doubt(
             "misfit",
-            f"residuals are {times:.2f} times the noise of {model.known.centre_sigma_px} px (chi2 {chi2:.0f} of "
-            f"{degrees}; chance allows {limit:.0f}): centres are noisier than that, or the cameras, the boards or the "
-            "flat layers are not as the model has them",
+            f"residuals are {times:.2f} times the noise of {model.known.centre_sigma_px} px (chi2 {chi2:.0f} "
+            f"of {degrees}; chance allows {limit:.0f}): centres are noisier than that, or the cameras, the "
+            "boards or the flat layers are not as the model has them",
         )
     ]
 
@@ -132,8 +134,8 @@ class _Places:
     def together(self, rate: float) -> list[Doubt]:
         """Whether errors of neighbours are correlated.
 
-        Products of independent standard normal numbers have mean 0 and variance 1. They are uncorrelated if no two
-        products share the same pair.
+        Products of independent standard normal numbers have mean 0 and variance 1. They are uncorrelated if
+        no two products share the same pair.
         """
         at = {(int(c), int(r)): i for i, (c, r) in enumerate(self.places)}
         pairs = [
@@ -152,8 +154,9 @@ class _Places:
         return [
             Doubt(
                 "misfit",
-                f"places of neighbouring markers are off alike (correlation {alike:.2f}; chance allows {limit:.2f}), "
-                "as errors of a print are not: the lattice is stretched, sheared or not flat, or the cameras are off",
+                f"places of neighbouring markers are off alike (correlation {alike:.2f}; chance allows "
+                f"{limit:.2f}), as errors of a print are not: the lattice is stretched, sheared or not flat, "
+                "or the cameras are off",
             )
         ]
 
@@ -167,21 +170,24 @@ class _Places:
         return [
             Doubt(
                 "print",
-                f"the marker in row {row}, column {col} is {squares[worst] ** 0.5:.1f} standard deviations from its "
-                f"place; chance allows {limit**0.5:.1f} (and {int((squares > limit).sum())} in all are beyond it): it "
-                "was named or printed wrong, or its centre is hidden; leave it out",
+                f"the marker in row {row}, column {col} is {squares[worst] ** 0.5:.1f} standard deviations "
+                f"from its place; chance allows {limit**0.5:.1f} (and {int((squares > limit).sum())} in all "
+                "are beyond it): it was named or printed wrong, or its centre is hidden; leave it out",
             )
         ]
 
     def size(self, rate: float) -> list[Doubt]:
-        """Whether errors are so large that a marker may lie nearer to another marker's place than to its own."""
+        """Whether errors are so large that a marker may lie nearer to another marker's place than
+        to its own.
+        """
         limit = 0.5 * self.pitch_mm / (2.0 * float(np.log(len(self.errors) / rate))) ** 0.5
         if self.print_sigma_mm <= limit:
             return []
         return [
             Doubt(
                 "print",
-                f"markers are off by {self.print_sigma_mm:.3f} mm a direction; beyond {limit:.3f} some of a lattice of "
-                f"{self.pitch_mm:.3f} mm lie nearer to another's place: rows and columns are named wrong",
+                f"markers are off by {self.print_sigma_mm:.3f} mm a direction; beyond {limit:.3f} some of a "
+                f"lattice of {self.pitch_mm:.3f} mm lie nearer to another's place: rows and columns are "
+                "named wrong",
             )
         ]

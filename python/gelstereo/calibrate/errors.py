@@ -49,11 +49,11 @@ class ImageError(CalibrationError):
 class BoardNotFoundError(CalibrationError):
     """No image shows the requested board.
 
-    Attributes: ``board``, requested inner corners (columns, rows); ``found``, the size found instead in the first
-    images, or ``None``.
+    Attributes: ``board``, requested inner corners (columns, rows) or board with tags; ``found``, the size
+    found instead in the first images, or ``None``.
     """
 
-    def __init__(self, message: str, board: tuple[int, int], found: tuple[int, int] | None) -> None:
+    def __init__(self, message: str, board: object, found: tuple[int, int] | None) -> None:
         super().__init__(message)
         self.board = board
         self.found = found

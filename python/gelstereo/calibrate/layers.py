@@ -1,19 +1,21 @@
-"""Calibration of the refractive layers: pose, distance and index of the gel, from frames of the sensor's own markers.
+"""Calibration of the refractive layers: pose, distance and index of the gel, from frames of the sensor's own
+markers.
 
-First calibrate the cameras in air. Then mount gel and plate, and take frames of the lattice: at rest, where the pitch
-is known, and pressed onto flat boards of known protrusion. Markers on a board lie in a plane parallel to the rest
-plane. A bundle adjustment over all pixels estimates the layers with their covariance, and reports which combinations
-the frames do not determine.
+First calibrate the cameras in air. Then mount gel and plate, and take frames of the lattice: at rest, where
+the pitch is known, and pressed onto flat boards of known protrusion. Markers on a board lie in a plane
+parallel to the rest plane. A bundle adjustment over all pixels estimates the layers with their covariance,
+and reports which combinations the frames do not determine.
 
-The information matrix shows what the frames determine (`LayersCalibration.combinations`). To first order in the slope
-of the rays, a plate of thickness t and index n is equivalent to t / n of air. Only the lattice's perspective at large
-slopes separates the two, so thickness and index of a plate need priors, for example from a data sheet. The same holds
-for the gel's index with rest frames alone. One board determines it through the ratio of depth to pitch; accuracy grows
-in proportion to the protrusion.
+The information matrix shows what the frames determine (`LayersCalibration.combinations`). To first order in
+the slope of the rays, a plate of thickness t and index n is equivalent to t / n of air. Only the lattice's
+perspective at large slopes separates the two, so thickness and index of a plate need priors, for example from
+a data sheet. The same holds for the gel's index with rest frames alone. One board determines it through the
+ratio of depth to pitch; accuracy grows in proportion to the protrusion.
 
-Prints are imperfect. Every marker has a position error that is the same in all rest frames. The standard deviation of
-these errors is estimated with the layers (`gelstereo.calibrate.print_error`), and so is the pitch, with its tolerance
-as the prior. Remaining contradictions to the model are listed in `LayersCalibration.doubts`.
+Prints are imperfect. Every marker has a position error that is the same in all rest frames. The standard
+deviation of these errors is estimated with the layers (`gelstereo.calibrate.print_error`), and so is the
+pitch, with its tolerance as the prior. Remaining contradictions to the model are listed in
+`LayersCalibration.doubts`.
 """
 
 from __future__ import annotations
@@ -36,9 +38,9 @@ __all__ = ["Combination", "Doubt", "LayersCalibration", "SeatedFrame", "calibrat
 
 Array = npt.NDArray[np.float64]
 
-#: Relative tolerance of the pitch. For a pitch that is off by 0.6 %, tolerances from 0.12 to 2.4 % change no parameter
-#: by more than a tenth of its standard deviation (25 x 25 markers, printed within 8 um). The tolerance only decides
-#: which pitch is reported as a doubt.
+#: Relative tolerance of the pitch. For a pitch that is off by 0.6 %, tolerances from 0.12 to 2.4 % change no
+#: parameter by more than a tenth of its standard deviation (25 x 25 markers, printed within 8 um). The
+#: tolerance only decides which pitch is reported as a doubt.
 PITCH_TOLERANCE = 0.005
 
 
@@ -51,8 +53,8 @@ class LayersCalibration:
     rig
         The rig with the estimated layers.
     values, covariance
-        Estimates by parameter name, and their (N, N) covariance in the same order. ``tilt_x`` and ``tilt_y`` are the
-        slopes of the normal, normal.x / normal.z and normal.y / normal.z.
+        Estimates by parameter name, and their (N, N) covariance in the same order. ``tilt_x`` and ``tilt_y``
+        are the slopes of the normal, normal.x / normal.z and normal.y / normal.z.
     t_sensor_lattice
         (4, 4) pose of the rest lattice: x along the columns, y along the rows, z away from the cameras.
     pitch_mm, pitch_sigma_mm
@@ -62,12 +64,13 @@ class LayersCalibration:
     rms_px
         Residual per coordinate without the print's errors; equals the centres' noise if the model holds.
     chi2, degrees_of_freedom
-        Sum of squared residuals, divided by the variance of the given noise and of the print's errors; and its upper
-        expected value.
+        Sum of squared residuals, divided by the variance of the given noise and of the print's errors; and
+        its upper expected value.
     combinations
         All independent combinations of the parameters, the least certain first.
     doubts
-        Contradictions to the model; empty if there are none. The false-alarm rate is one in a thousand calibrations.
+        Contradictions to the model; empty if there are none. The false-alarm rate is one in a thousand
+        calibrations.
     """
 
     rig: Rig
@@ -122,9 +125,11 @@ def calibrate_layers(
     frames
         At least one frame at rest. Frames on boards are needed to determine the gel's index.
     pitch_mm, pitch_sigma_mm
-        Stated pitch of the printed lattice, and its standard deviation. Default: half a per cent of the pitch.
+        Stated pitch of the printed lattice, and its standard deviation. Default: half a per cent of the
+        pitch.
     layers
-        Design values in the form of `Rig.layers`: initial guess and mean of the priors. Default: the rig's layers.
+        Design values in the form of `Rig.layers`: initial guess and mean of the priors. Default: the rig's
+        layers.
     priors
         Prior standard deviation of parameters by name: ``tilt_x``, ``tilt_y``, ``gap_mm``, ``gel_index``,
         ``plate_0_thickness_mm``, ``plate_0_index`` and so on. 0 holds it fixed.
@@ -163,8 +168,8 @@ def _result(
     count = len(model.free)
     chi2 = solution.chi2 + model.scatter_chi2
     degrees = solution.degrees_of_freedom + model.scatter_degrees
-    # Where residuals exceed the stated noise, the covariance is scaled by chi2 per degree of freedom; that of the
-    # priors is not (Birge, "The calculation of errors", 1932).
+    # Where residuals exceed the stated noise, the covariance is scaled by chi2 per degree of freedom; that of
+    # the priors is not (Birge, "The calculation of errors", 1932).
     covariance = solution.linearised.covariance(max(chi2 / max(degrees, 1), 1.0) ** 0.5)
     residual = solution.linearised.marker_residual()
     squares = (residual @ residual + model.scatter_chi2) / (len(residual) + model.scatter_degrees)
@@ -188,8 +193,9 @@ def _refuse_undetermined(combinations: Sequence[Combination]) -> None:
     weak = tuple(c for c in combinations if c.total_sigma > 1.0)
     if weak:
         raise UndeterminedLayersError(
-            f"the frames do not determine the layers: {'; '.join(map(str, weak))} (in units of {SCALES}); give a prior "
-            "for the largest of these, or frames on boards (the higher the better) and with more of the lattice",
+            f"the frames do not determine the layers: {'; '.join(map(str, weak))} (in units of {SCALES}); "
+            "give a prior for the largest of these, or frames on boards (the higher the better) and with "
+            "more of the lattice",
             weak,
         )
 

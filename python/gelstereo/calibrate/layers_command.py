@@ -18,12 +18,14 @@ __all__ = ["EXAMPLES", "add_arguments", "run"]
 
 EXAMPLES = """examples:
   gelstereo calibrate-layers --rig rig.toml --rest left0.png right0.png --board 0.8 left1.png right1.png \\
-      --board 1.8 left2.png right2.png --prior plate_0_thickness_mm=0.05 --prior plate_0_index=0.005 --out gel.toml
+      --board 1.8 left2.png right2.png --prior plate_0_thickness_mm=0.05 \\
+      --prior plate_0_index=0.005 --out gel.toml
 
-The rig file holds the cameras as calibrated in air, and under [layers] the layers as designed. Nothing touches the gel
-in --rest; in --board it is seated on a flat board of that protrusion in mm. Boards make the gel's index known, the
-higher the better; thickness and index of a plate need priors. The exit code is 1 where the frames contradict the model
-(doubts of kind pitch, prior, misfit or print); the rig file is written all the same.
+The rig file holds the cameras as calibrated in air, and under [layers] the layers as designed. Nothing
+touches the gel in --rest; in --board it is seated on a flat board of that protrusion in mm. Boards make the
+gel's index known, the higher the better; thickness and index of a plate need priors. The exit code is 1 where
+the frames contradict the model (doubts of kind pitch, prior, misfit or print); the rig file is written all
+the same.
 """
 
 

@@ -19,15 +19,16 @@ __all__ = ["SCALES", "Combination", "Model", "SeatedFrame"]
 
 Array = npt.NDArray[np.float64]
 
-#: Largest acceptable standard deviation of each kind of parameter. A combination with more than this, from priors and
-#: frames together, counts as undetermined. An index error of 0.01 costs 8 um per mm of height.
+#: Largest acceptable standard deviation of each kind of parameter. A combination with more than this, from
+#: priors and frames together, counts as undetermined. An index error of 0.01 costs 8 um per mm of height.
 SCALES = {"tilt": 0.01, "gap_mm": 0.3, "gel_index": 0.01, "thickness_mm": 0.3, "index": 0.05}
 
-#: Step of the numerical derivatives: the truncation error is its square, 1e-10; round-off divided by it is 1e-8 px.
+#: Step of the numerical derivatives: the truncation error is its square, 1e-10; round-off divided by it is
+#: 1e-8 px.
 STEP = 1e-5
 
-#: Maximum number of alternations between parameters and print error. Two sufficed for print errors from 0 to 60 um, for
-#: every twentieth marker mislabelled, and for stated pitches of 0.6 to 1.7 mm with a true 0.85 mm.
+#: Maximum number of alternations between parameters and print error. Two sufficed for print errors from 0 to
+#: 60 um, for every twentieth marker mislabelled, and for stated pitches of 0.6 to 1.7 mm with a true 0.85 mm.
 ROUNDS = 8
 
 
@@ -55,8 +56,8 @@ class SeatedFrame:
     def from_frame(cls, frame: Frame, height_mm: float = 0.0, *, share: float = 0.9) -> SeatedFrame:
         """Markers of a pipeline's frame: at rest all visible ones, on a board those that lie on it.
 
-        A marker counts as on the board if it and all its neighbours rise by at least ``share`` of the 90 % quantile,
-        because the gel bends beside an edge.
+        A marker counts as on the board if it and all its neighbours rise by at least ``share`` of the 90 %
+        quantile, because the gel bends beside an edge.
         """
         use = np.asarray(frame.state) == MarkerState.SEEN
         if height_mm > 0.0:
@@ -84,8 +85,8 @@ class Combination:
     weights
         Component along each parameter, in units of its scale (`SCALES`); a unit vector.
     sigma
-        Standard deviation along the direction from the frames alone, in the same units. Above 1, the frames do not
-        determine it.
+        Standard deviation along the direction from the frames alone, in the same units. Above 1, the frames
+        do not determine it.
     total_sigma
         Standard deviation from frames and priors together.
     """
@@ -125,9 +126,10 @@ class Known:
 class Model:
     """Pixels as a function of the layers, the lattice's pose, the boards' heights, the pitch and the markers.
 
-    Shared parameters are the free parameters of the layers, six of the pose, an offset for each board, and the pitch. A
-    marker at rest has the same printed position in all frames; these are combined into one frame with its mean centres.
-    On a board, friction moves the markers, so they have separate positions in each frame.
+    Shared parameters are the free parameters of the layers, six of the pose, an offset for each board, and
+    the pitch. A marker at rest has the same printed position in all frames; these are combined into one frame
+    with its mean centres. On a board, friction moves the markers, so they have separate positions in each
+    frame.
     """
 
     def __init__(
@@ -154,7 +156,9 @@ class Model:
         self.root = np.sqrt(np.append(count, np.ones(len(self.board) - len(count))))
 
     def start(self) -> tuple[Array, Array]:
-        """Initial guess: design values, the lattice fitted to the rest frames, the markers on their planes."""
+        """Initial guess: design values, the lattice fitted to the rest frames, the markers on
+        their planes.
+        """
         rig = self.rig_with(np.array([self.nominal[name] for name in self.free]))
         # With the design values of the layers, the two rays of a marker need not intersect.
         rays = Params().replace({"triangulate.method": "rays", "triangulate.max_epipolar_px": 100.0})
@@ -170,7 +174,8 @@ class Model:
     def solve(self, start: tuple[Array, Array]) -> tuple[Solution, float]:
         """Maximum-likelihood parameters, and the standard deviation of the print's errors, mm.
 
-        The variance and the parameters are estimated in turn until the variance changes by less than a thousandth.
+        The variance and the parameters are estimated in turn until the variance changes by less than a
+        thousandth.
         """
         # Initial guess, a hundredth of the pitch; the first round converges from there.
         variance, (shared, own) = (0.01 * self.known.pitch_mm) ** 2, start
@@ -281,8 +286,8 @@ def _centres(frame: SeatedFrame) -> Array:
 
 
 def _means(rest: Sequence[SeatedFrame]) -> tuple[Array, Array, Array, Array]:
-    """Rows and columns of the markers at rest, mean centres, number of frames, and scatter of the centres about the
-    mean.
+    """Rows and columns of the markers at rest, mean centres, number of frames, and scatter of the centres
+    about the mean.
     """
     places = np.concatenate([_places(f) for f in rest])
     seen = np.concatenate([_centres(f) for f in rest])

@@ -9,11 +9,13 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from .boards import MIN_CORNERS, TagBoard, determines_pose
 from .corners import CornerFinder, Corners, neighbouring_boards
 from .errors import BoardNotFoundError, ImageError
 from .pairs import ImagePair
+from .solve import seen
 
-__all__ = ["Observation", "Progress", "align", "observe"]
+__all__ = ["Observation", "Progress", "align", "observe", "observe_tags"]
 
 Points = npt.NDArray[np.float64]
 #: Called with the steps done, the total steps, and a description of the step.
@@ -39,7 +41,16 @@ class Observation:
                 reasons.append(f"{view}: corner search reached its time limit")
             elif corners.corners_px is None:
                 reasons.append(f"{view}: board not found")
-        return "; ".join(reasons) or None
+        return "; ".join(reasons) or self._too_few_shared()
+
+    def _too_few_shared(self) -> str | None:
+        left, right = self.left.corners_px, self.right.corners_px
+        if left is None or right is None:
+            return None
+        shared = seen(left, right)
+        if determines_pose(np.where(shared[:, None], left, np.nan)):
+            return None
+        return f"only {int(shared.sum())} corners are seen by both views, or all on one line"
 
 
 def observe(
@@ -47,8 +58,8 @@ def observe(
 ) -> list[Observation]:
     """Find the board, inner corners (columns, rows), in every pair.
 
-    If the classic search fails, the sector search is tried. It is not tried if the classic search finds a board of
-    another size, because it would then invent or omit corners.
+    If the classic search fails, the sector search is tried. It is not tried if the classic search finds a
+    board of another size, because it would then invent or omit corners.
 
     Raises
     ------
@@ -77,6 +88,28 @@ def observe(
     return [align(Observation(pair, found[pair.left], found[pair.right]), board) for pair in pairs]
 
 
+def observe_tags(
+    pairs: Sequence[ImagePair], board: TagBoard, finder: CornerFinder, progress: Progress
+) -> list[Observation]:
+    """Find the corners of a board with tags in every pair; errors as `observe`."""
+    paths = [path for pair in pairs for path in (pair.left, pair.right)]
+    found: dict[Path, Corners] = {}
+    for done, path in enumerate(paths):
+        progress(done, len(paths), f"tags of {path.name}")
+        found[path] = finder.find_tags(path, board)
+    _check_sizes([(pair.left, found[pair.left]) for pair in pairs])
+    _check_sizes([(pair.right, found[pair.right]) for pair in pairs])
+    if _count(found) == 0:
+        shown = [(path, names[0]) for path in paths[:_HINT_IMAGES] if (names := finder.families(path))]
+        hint = f"; {shown[0][0].name} shows markers of {shown[0][1]}" if shown else "; no tags are visible"
+        raise BoardNotFoundError(
+            f"{len(paths)} of {len(paths)} images show fewer than {MIN_CORNERS} corners of the {board}{hint}",
+            board,
+            None,
+        )
+    return [Observation(pair, found[pair.left], found[pair.right]) for pair in pairs]
+
+
 def _count(found: dict[Path, Corners]) -> int:
     return sum(corners.corners_px is not None for corners in found.values())
 
@@ -97,8 +130,9 @@ def _refuse_other_board(
 ) -> None:
     """Raise an error if images without the board show one of a similar size.
 
-    A smaller board in a few images is one cut off by the border. A larger board, or any other size in most images, is
-    the real one. Searching it for a smaller board would number different parts in different images.
+    A smaller board in a few images is one cut off by the border. A larger board, or any other size in most
+    images, is the real one. Searching it for a smaller board would number different parts in different
+    images.
     """
     for path in missing[:_HINT_IMAGES]:
         sizes = [
@@ -139,9 +173,9 @@ def _not_found_message(
 def align(observation: Observation, board: tuple[int, int]) -> Observation:
     """Give the right view's corners the left view's numbering.
 
-    A chessboard is symmetric under half a turn (a square one under a quarter), and the search may start at either end.
-    The numbering is chosen whose corners are nearest to the left view's, both relative to their centroids. It is right
-    if the roll between the views is less than 90 (45) degrees.
+    A chessboard is symmetric under half a turn (a square one under a quarter), and the search may start at
+    either end. The numbering is chosen whose corners are nearest to the left view's, both relative to their
+    centroids. It is right if the roll between the views is less than 90 (45) degrees.
     """
     left, right = observation.left.corners_px, observation.right.corners_px
     if left is None or right is None:

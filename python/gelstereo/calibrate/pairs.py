@@ -7,9 +7,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from .errors import SwappedViewsError, UnpairedImagesError
+from .errors import UnpairedImagesError
 
-__all__ = ["ImagePair", "pair_images"]
+__all__ = ["ImagePair", "names_swapped", "pair_images"]
 
 
 @dataclass(frozen=True)
@@ -34,12 +34,9 @@ def pair_images(left_paths: Iterable[str | Path], right_paths: Iterable[str | Pa
     ------
     UnpairedImagesError
         A file has no partner, or one number occurs twice in a list.
-    SwappedViewsError
-        The left files are named "right" and the right files "left".
     """
     left = [Path(path) for path in left_paths]
     right = [Path(path) for path in right_paths]
-    _refuse_swapped_names(left, right)
     _refuse_shared_files(left, right)
     left_by_number, right_by_number = _by_number(left), _by_number(right)
     if left_by_number is None or right_by_number is None:
@@ -72,23 +69,26 @@ def _pair_in_order(left: Sequence[Path], right: Sequence[Path]) -> list[ImagePai
         shorter = min(len(left), len(right))
         left_only, right_only = left[shorter:], right[shorter:]
         message = (
-            f"{len(left)} left but {len(right)} right images, and not all names carry a number to pair them by; "
-            "name them left01, right01 and so on, or remove the images without a partner"
+            f"{len(left)} left but {len(right)} right images, and not all names carry a number to pair them "
+            "by; name them left01, right01 and so on, or remove the images without a partner"
         )
         raise UnpairedImagesError(message, left_only, right_only)
     return [ImagePair(a, b) for a, b in zip(left, right, strict=True)]
 
 
-def _refuse_swapped_names(left: Sequence[Path], right: Sequence[Path]) -> None:
+def names_swapped(left: Sequence[Path], right: Sequence[Path]) -> str | None:
+    """Say that the left files are named "right" and the right files "left"; `None` if they are not.
+
+    Names do not decide which camera is the left one: the images do, by the places of the cameras.
+    """
+
     def all_named(paths: Sequence[Path], word: str, other: str) -> bool:
         names = [path.stem.lower() for path in paths]
         return bool(names) and all(word in name and other not in name for name in names)
 
     if all_named(left, "right", "left") and all_named(right, "left", "right"):
-        raise SwappedViewsError(
-            f"the left images are named right ({left[0].name}) and the right images left ({right[0].name}); "
-            "exchange the two lists"
-        )
+        return f"the left images are named right ({left[0].name}) and the right images left ({right[0].name})"
+    return None
 
 
 def _refuse_shared_files(left: Sequence[Path], right: Sequence[Path]) -> None:

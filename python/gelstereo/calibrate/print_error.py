@@ -1,9 +1,10 @@
 """Print errors of the markers, by restricted maximum likelihood.
 
-Every marker at rest is displaced from its nominal place by two independent normal errors in the plane of the print,
-with one variance for all. The variance maximises the likelihood of the residuals after projecting out the shared
-parameters (Patterson and Thompson, "Recovery of inter-block information when block sizes are unequal", 1971). Plain
-maximum likelihood would underestimate it, because the shared parameters absorb part of the errors.
+Every marker at rest is displaced from its nominal place by two independent normal errors in the plane of the
+print, with one variance for all. The variance maximises the likelihood of the residuals after projecting out
+the shared parameters (Patterson and Thompson, "Recovery of inter-block information when block sizes are
+unequal", 1971). Plain maximum likelihood would underestimate it, because the shared parameters absorb part of
+the errors.
 """
 
 from __future__ import annotations

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from .boards import Board
 from .solve import Mono, Stereo
 
 if TYPE_CHECKING:
@@ -25,8 +26,8 @@ class PairReport:
 
     #: Both file names.
     name: str
-    #: Rms distance of the left and right view's corners from their projections in the joint calibration, pixels.
-    #: ``None`` if the pair was not used.
+    #: Rms distance of the left and right view's corners from their projections in the joint calibration,
+    #: pixels. ``None`` if the pair was not used.
     left_px: float | None
     right_px: float | None
     #: Whether the pair is an outlier.
@@ -39,9 +40,10 @@ class PairReport:
 class HeldOut:
     """Cross-validation errors, on pairs not used for calibration."""
 
-    #: Rms distance of the right view's corners from the projection of the board located in the left view alone; pixels.
+    #: Rms distance of the right view's corners from the projection of the board located in the left view
+    #: alone; pixels.
     transfer_px: float
-    #: Rms error of the triangulated distance of neighbouring corners, relative to the square's side, mm.
+    #: Rms error of the triangulated distance of neighbouring corners, relative to the true one, mm.
     square_mm: float
     #: Mean error of that distance, which indicates a scale error, mm.
     square_bias_mm: float
@@ -67,9 +69,8 @@ class StereoCalibration:
 
     #: Width and height, pixels.
     size_px: tuple[int, int]
-    #: Inner corners (columns, rows) and the side of a square.
-    board: tuple[int, int]
-    square_mm: float
+    #: The board with its lengths.
+    board: Board
     #: Separate calibration of each camera.
     left: Mono
     right: Mono
@@ -127,8 +128,8 @@ class StereoCalibration:
         """Write the report as plain text."""
         stereo = self.stereo
         lines = [
-            f"{self.used} of {len(self.pairs)} pairs used, board {self.board[0]}x{self.board[1]}, "
-            f"squares {self.square_mm:g} mm, images {self.size_px[0]}x{self.size_px[1]} px",
+            f"{self.used} of {len(self.pairs)} pairs used, {self.board}, images "
+            f"{self.size_px[0]}x{self.size_px[1]} px",
             f"rms      left {self.left.rms_px:.3f} px   right {self.right.rms_px:.3f} px   "
             f"stereo {stereo.rms_px:.3f} px",
             f"focal    left {stereo.left_matrix[0, 0]:.2f} px   right {stereo.right_matrix[0, 0]:.2f} px   "
@@ -138,8 +139,8 @@ class StereoCalibration:
         if self.held_out is not None:
             held = self.held_out
             lines.append(
-                f"held out {held.transfer_px:.3f} px from view to view, squares off by {1e3 * held.square_mm:.1f} um "
-                f"rms, {1e3 * held.square_bias_mm:+.1f} um in the mean"
+                f"held out {held.transfer_px:.3f} px from view to view, squares off by "
+                f"{1e3 * held.square_mm:.1f} um rms, {1e3 * held.square_bias_mm:+.1f} um in the mean"
             )
         lines += ["", "pair                              left px  right px"]
         lines += [_pair_line(pair) for pair in self.pairs]

@@ -5,13 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
+from gelstereo.extras import needs
+
 from .errors import CalibrationError
 
-__all__ = ["Mono", "Stereo", "board_points_mm", "board_pose", "project", "solve_mono", "solve_stereo"]
+with needs(__name__):
+    import cv2
+
+__all__ = ["Mono", "Stereo", "board_pose", "project", "seen", "solve_mono", "solve_stereo"]
 
 Array = npt.NDArray[np.float64]
 
@@ -51,11 +55,9 @@ class Stereo:
     per_image_px: Array
 
 
-def board_points_mm(board: tuple[int, int], square_mm: float) -> Array:
-    """Corners of the board in its own frame, (columns * rows, 3), row by row, z = 0."""
-    cols, rows = board
-    y, x = np.mgrid[0:rows, 0:cols]
-    return np.column_stack([x.ravel(), y.ravel(), np.zeros(cols * rows)]) * square_mm
+def seen(*views_px: Array) -> npt.NDArray[np.bool_]:
+    """Corners that all of these views see; the others are NaN."""
+    return np.asarray(np.all([np.isfinite(view).all(axis=1) for view in views_px], axis=0))
 
 
 def solve_mono(object_mm: Array, corners_px: Sequence[Array], size_px: tuple[int, int]) -> Mono:
@@ -66,8 +68,9 @@ def solve_mono(object_mm: Array, corners_px: Sequence[Array], size_px: tuple[int
     CalibrationError
         OpenCV finds no solution, or one that is not finite.
     """
-    objects = [object_mm.astype(np.float32)] * len(corners_px)
-    images = [corners.astype(np.float32).reshape(-1, 1, 2) for corners in corners_px]
+    masks = [seen(corners) for corners in corners_px]
+    objects = [object_mm[mask].astype(np.float32) for mask in masks]
+    images = [_for_opencv(corners[mask]) for corners, mask in zip(corners_px, masks, strict=True)]
     try:
         rms, matrix, distortion, _, _, sigma, _, per_image = cv2.calibrateCameraExtended(
             objects, images, size_px, np.eye(3), np.zeros(5), criteria=_CRITERIA
@@ -97,16 +100,19 @@ def solve_stereo(
 ) -> Stereo:
     """Calibrate the pair from two calibrated cameras.
 
-    With ``refine_intrinsics``, all parameters of both cameras are fitted together. This is the maximum-likelihood
-    estimate if corner noise is equal in both views.
+    With ``refine_intrinsics``, all parameters of both cameras are fitted together. This is the
+    maximum-likelihood estimate if corner noise is equal in both views.
 
     Raises
     ------
     CalibrationError
         OpenCV finds no solution, or one that is not finite.
     """
-    objects = [object_mm.astype(np.float32)] * len(left_px)
-    images = [[c.astype(np.float32).reshape(-1, 1, 2) for c in view] for view in (left_px, right_px)]
+    masks = [seen(a, b) for a, b in zip(left_px, right_px, strict=True)]
+    objects = [object_mm[mask].astype(np.float32) for mask in masks]
+    images = [
+        [_for_opencv(c[mask]) for c, mask in zip(view, masks, strict=True)] for view in (left_px, right_px)
+    ]
     try:
         result = cv2.stereoCalibrateExtended(
             objects,
@@ -142,7 +148,8 @@ def solve_stereo(
 
 def board_pose(object_mm: Array, corners_px: Array, matrix: Array, distortion: Array) -> tuple[Array, Array]:
     """Pose of the board in the camera's frame: rotation (3, 3) and translation (3,) in millimetres."""
-    found, rotation, translation = cv2.solvePnP(object_mm, corners_px, matrix, distortion)
+    mask = seen(corners_px)
+    found, rotation, translation = cv2.solvePnP(object_mm[mask], corners_px[mask], matrix, distortion)
     if not found:
         raise CalibrationError(
             "no pose of the board explains its corners; check that they do not lie on one line"
@@ -156,8 +163,12 @@ def project(points_mm: Array, matrix: Array, distortion: Array) -> Array:
     return np.asarray(pixels, float).reshape(-1, 2)
 
 
+def _for_opencv(corners_px: Array) -> npt.NDArray[np.float32]:
+    return corners_px.astype(np.float32).reshape(-1, 1, 2)
+
+
 def _no_solution(reason: str) -> str:
     return (
-        f"no calibration explains the corners ({reason}); take at least ten pairs with the board tilted in several "
-        "directions and in all parts of the image"
+        f"no calibration explains the corners ({reason}); take at least ten pairs with the board tilted in "
+        "several directions and in all parts of the image"
     )

@@ -1,4 +1,6 @@
-"""The command ``gelstereo demo``: the whole pipeline on a simulated sensor, through the public functions alone."""
+"""The command ``gelstereo demo``: the whole pipeline on a simulated sensor, through the public functions
+alone.
+"""
 
 from __future__ import annotations
 
@@ -23,8 +25,8 @@ from gelstereo import (
 )
 from gelstereo.cli.files import write_image
 from gelstereo.cli.options import add_params, params_of
-from gelstereo.cli.progress import progress
 from gelstereo.geometry import se3_exp, se3_log, shape_mesh
+from gelstereo.progress import progress
 
 EXAMPLES = """examples:
   gelstereo demo
@@ -33,8 +35,8 @@ EXAMPLES = """examples:
 
 Floats = npt.NDArray[np.float64]
 
-#: A peg of 8 mm diameter, pressed 2 mm deep and then dragged by its weight. It is longer than the lattice is wide, so
-#: neither end touches the gel, and translation along its axis is undetermined.
+#: A peg of 8 mm diameter, pressed 2 mm deep and then dragged by its weight. It is longer than the lattice is
+#: wide, so neither end touches the gel, and translation along its axis is undetermined.
 _SIDEWAYS = [0.0, 1.5707963267948966, 0.0]
 SCENE: dict[str, Any] = {
     "indenter": {"kind": "cylinder", "radius_mm": 4.0, "length_mm": 40.0},
@@ -72,6 +74,7 @@ def run(arguments: argparse.Namespace) -> int:
     template = Template.from_triangles(vertices_mm, triangles)
     found, spent = locate(frame, moment, template, params)
     angle_deg, distance_mm = error_of(found, moment.t_sensor_object)
+    free = "; ".join(map(str, found.free)) or "nothing"
     picture = Moment.of(
         moment.left,
         frame,
@@ -79,22 +82,23 @@ def run(arguments: argparse.Namespace) -> int:
         (frame.rows, frame.cols),
         part=Part.located(vertices_mm, triangles, found.t_sensor_object),
         title="A peg located in the hand (simulated sensor)",
-        notes=(pose_in_words(found.t_sensor_object), f"free: {'; '.join(map(str, found.free)) or 'nothing'}"),
+        notes=(pose_in_words(found.t_sensor_object), f"free, object frame: {free}"),
     )
     write_image(arguments.output, draw(picture))
     print(
-        f"sensing    {milliseconds:.1f} ms a stereo frame; {frame.motion_px:.1f} px of motion, {found.points} points"
+        f"sensing    {milliseconds:.1f} ms a stereo frame; {frame.motion_px:.1f} px of motion, "
+        f"{found.points} points"
     )
     print(f"located    {pose_in_words(found.t_sensor_object)} in {spent:.1f} ms, {found!r}")
-    print(f"free       {'; '.join(map(str, found.free)) or 'nothing'}")
+    print(f"free       {free}")
     print(f"error      {angle_deg:.3f} deg, {distance_mm:.4f} mm in the determined directions (simulated)")
     print(f"picture    {arguments.output}")
     return 0
 
 
 def press(params: Params) -> tuple[Frame, Frame, SimulatedFrame, float]:
-    """Close on the part until the grasp trigger; return the rest frame, the last frame with its truth, and milliseconds
-    per frame.
+    """Close on the part until the grasp trigger; return the rest frame, the last frame with its truth, and
+    milliseconds per frame.
     """
     simulator = simulate(SCENE)
     pipeline = Pipeline(simulator.scene.rig, params)

@@ -1,4 +1,4 @@
-"""Reading and writing images and point clouds; errors name the file."""
+"""Reading and writing images; errors name the file."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from gelstereo import Error, ImageError, ShapeError
-
-Floats = npt.NDArray[np.float64]
+from gelstereo import Error, ImageError
+from gelstereo.extras import needs
 
 _IMAGES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm"}
 
@@ -21,7 +20,8 @@ class FileError(Error):
 
 def write_image(path: Path, image: npt.NDArray[np.uint8]) -> None:
     """Write an image; create missing folders."""
-    import cv2
+    with needs(__name__):
+        import cv2
 
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.suffix.lower() not in _IMAGES:
@@ -32,7 +32,8 @@ def write_image(path: Path, image: npt.NDArray[np.uint8]) -> None:
 
 def read_image(path: Path) -> npt.NDArray[np.uint8]:
     """A grey image, (H, W) uint8."""
-    import cv2
+    with needs(__name__):
+        import cv2
 
     if not path.is_file():
         raise FileNotFoundError(2, "No such image", str(path))
@@ -40,6 +41,27 @@ def read_image(path: Path) -> npt.NDArray[np.uint8]:
     if image is None:
         raise ImageError(f"{path} cannot be read as an image")
     return np.asarray(image, dtype=np.uint8)
+
+
+def read_color_image(path: Path) -> npt.NDArray[np.uint8]:
+    """An image as its file has it: (H, W) uint8 if it is grey, (H, W, 3) in the order blue, green, red
+    otherwise.
+    """
+    import cv2
+
+    if not path.is_file():
+        raise FileNotFoundError(2, "No such image", str(path))
+    image = cv2.imread(str(path), cv2.IMREAD_ANYCOLOR)
+    if image is None:
+        raise ImageError(f"{path} cannot be read as an image")
+    return np.asarray(image, dtype=np.uint8)
+
+
+def as_grey(image: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+    """The grey image of what `read_color_image` returns."""
+    import cv2
+
+    return image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
 
 
 def stereo_pairs(folder: Path) -> list[tuple[Path, Path]]:
@@ -78,50 +100,3 @@ def _images(folder: Path) -> list[Path]:
     if not folder.is_dir():
         return []
     return [path for path in folder.iterdir() if path.suffix.lower() in _IMAGES]
-
-
-def read_points(path: Path) -> Floats:
-    """A point cloud, (N, 3) millimetres, from .npy, .ply or .csv (three columns, a header is skipped)."""
-    if not path.is_file():
-        raise FileNotFoundError(2, "No such point cloud", str(path))
-    kind = path.suffix.lower()
-    readers = {".npy": _read_npy, ".csv": _read_csv, ".txt": _read_csv, ".ply": _read_ply}
-    if kind not in readers:
-        raise FileError(f"{path} ends in {kind or 'nothing'}; valid is one of {sorted(readers)}")
-    try:
-        points = readers[kind](path)
-    except (ValueError, EOFError, IndexError, KeyError) as error:
-        raise FileError(f"{path} cannot be read as a point cloud: {error}") from error
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise ShapeError(f"{path} has an array of shape {points.shape}; valid is (N, 3), in millimetres")
-    return points
-
-
-def _read_npy(path: Path) -> Floats:
-    values = np.load(path, allow_pickle=False)
-    if values.dtype.kind not in "fiu":
-        raise ValueError(f"its values are {values.dtype}; valid are real numbers")
-    return np.asarray(values, dtype=np.float64)
-
-
-def _read_csv(path: Path) -> Floats:
-    lines = path.read_text().splitlines()
-    separator = "," if "," in "".join(lines[:2]) else None
-    header = 0 if not lines or _is_number(lines[0].split(separator)[0]) else 1
-    if not any(line.strip() for line in lines[header:]):
-        raise ValueError("it has no lines of numbers; valid are three columns")
-    return np.loadtxt(lines[header:], delimiter=separator, ndmin=2)
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
-def _read_ply(path: Path) -> Floats:
-    import trimesh
-
-    return np.asarray(trimesh.load(path, process=False).vertices, dtype=np.float64)

@@ -9,23 +9,24 @@ from pathlib import Path
 from typing import Any
 
 from gelstereo import Localization, Template, localize
-from gelstereo.cli.files import read_points
 from gelstereo.cli.options import add_guess, add_params, guess_of, params_of
 from gelstereo.cli.sense import sense_folder
+from gelstereo.point_files import read_points
 from gelstereo.templates import MM_PER_UNIT
 
 EXAMPLES = """examples:
   gelstereo localize --points patch.npy --template peg.stl --units mm --guess-mm 4 0 30.7 --guess-deg 0 90 0
   gelstereo localize --images out/press --rig rig.toml --template plug.stl --units m --guess-mm 4 0 31
 
-Points are millimetres in the sensor frame (x right, y down, z away from the camera). With images, the first pair is
-the rest frame and the contact of the last one is localized. The pose is printed as JSON. The exit code is 1 where
-the part does not explain the contact.
+Points are millimetres in the sensor frame (x right, y down, z away from the camera). With images, the first
+pair is the rest frame and the contact of the last one is localized. The pose is printed as JSON. The exit
+code is 1 where the part does not explain the contact.
 """
 
 DOES_NOT_FIT = (
-    "the part does not explain the contact (log_odds {odds:.1f}, a part that does has more than 0): it is another "
-    "part, another face of it, or farther from the guess than register.start_sigma_deg and register.start_sigma_mm say"
+    "the part does not explain the contact (log_odds {odds:.1f}, a part that does has more than 0): it is "
+    "another part, another face of it, or farther from the guess than register.start_sigma_deg and "
+    "register.start_sigma_mm say"
 )
 
 
@@ -33,7 +34,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     source = parser.add_mutually_exclusive_group(required=True)
     source.add_argument(
-        "--points", type=Path, metavar="FILE", help="contact patch: .npy, .ply or .csv, (N, 3) in mm"
+        "--points",
+        type=Path,
+        metavar="FILE",
+        help="contact patch, in mm: .npy, .ply, .pcd, .csv, .txt or .xyz",
     )
     source.add_argument(
         "--images", type=Path, metavar="FOLDER", help="stereo images: left/NAME.png, right/NAME.png"

@@ -1,4 +1,6 @@
-"""Argument parsing and error handling: an error prints one line and returns exit code 2, Ctrl-C returns 130."""
+"""Argument parsing and error handling: an error prints one line and returns exit code 2, Ctrl-C
+returns 130.
+"""
 
 from __future__ import annotations
 
@@ -14,11 +16,12 @@ from gelstereo.cli.extras import module_of
 #: Every command is a module with ``EXAMPLES``, ``add_arguments(parser)`` and ``run(arguments) -> int``.
 COMMANDS = {
     "demo": ("gelstereo.cli.demo", "press a part into a simulated sensor, locate it, and draw the picture"),
-    "calibrate": ("gelstereo.calibrate.command", "stereo chessboard images to a rig file"),
+    "calibrate": ("gelstereo.calibrate.command", "stereo images of a board to a rig file"),
     "calibrate-layers": (
         "gelstereo.calibrate.layers_command",
         "images of the sensor's own markers to the pose and index of its gel",
     ),
+    "inspect": ("gelstereo.cli.inspect", "an image of a gel to what it shows, and the settings for it"),
     "localize": ("gelstereo.cli.localize", "a point cloud or stereo images, and a template, to a pose"),
     "template": ("gelstereo.cli.template", "a part's mesh, checked, to a template and a picture of it"),
     "simulate": ("gelstereo.cli.simulate", "a scene to stereo images with their truth"),
@@ -60,8 +63,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        Exit code: 0 on success; 1 if a part does not explain the contact, or frames contradict the estimated layers; 2
-        if an input cannot be used; 130 after Ctrl-C.
+        Exit code: 0 on success; 1 if a part does not explain the contact, or frames contradict the estimated
+        layers; 2 if an input cannot be used; 130 after Ctrl-C.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     try:

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from gelstereo import Error, Frame, Params, Pipeline, Rig
-from gelstereo.cli.files import read_image, stereo_pairs
-from gelstereo.cli.progress import progress
+from gelstereo.cli.files import as_grey, read_color_image, stereo_pairs
+from gelstereo.progress import progress
 
 
 @dataclass(frozen=True)
@@ -26,8 +26,8 @@ class Sensed:
 def sense_folder(folder: Path, rig_file: Path | None, params: Params, frame: int = -1) -> Sensed:
     """Run the pipeline over ``left/*`` and ``right/*`` of a folder, up to a frame.
 
-    The first pair is the rest frame. The rig is the folder's ``rig.toml`` unless another file is given. `frame` is a
-    Python index and may be negative.
+    The first pair is the rest frame. The rig is the folder's ``rig.toml`` unless another file is given.
+    `frame` is a Python index and may be negative.
     """
     pairs = stereo_pairs(folder)
     if not -len(pairs) <= frame < len(pairs):
@@ -36,11 +36,11 @@ def sense_folder(folder: Path, rig_file: Path | None, params: Params, frame: int
     pipeline = Pipeline(Rig.load(rig_file or folder / "rig.toml"), params)
     reference_px = None
     for left_path, right_path in progress(pairs, "sensing"):
-        left = read_image(left_path)
+        left = read_color_image(left_path)
         try:
-            result = pipeline.process(left, read_image(right_path))
+            result = pipeline.process(left, read_color_image(right_path))
         except Error as error:
             raise type(error)(f"{left_path.name}: {error}") from error
         reference_px = result.left_px if reference_px is None else reference_px
     assert reference_px is not None  # there is at least one pair
-    return Sensed(left_path.stem, left, result, reference_px)
+    return Sensed(left_path.stem, as_grey(left), result, reference_px)

@@ -12,7 +12,7 @@ import numpy as np
 
 from gelstereo import Error, SimulatedFrame, simulate
 from gelstereo.cli.files import write_image
-from gelstereo.cli.progress import progress
+from gelstereo.progress import progress
 from gelstereo.simulation import plan_record
 
 EXAMPLES = """examples:
@@ -28,8 +28,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--output",
         type=Path,
         required=True,
-        help="folder for left/NNNN.png, right/NNNN.png, truth.npz, rig.toml, scene.toml, plan.json; only for what the "
-        "scene asks, if it says so",
+        help="folder for left/NNNN.png, right/NNNN.png, truth.npz, rig.toml, scene.toml, plan.json; "
+        "only for what the scene asks, if it says so",
     )
     parser.add_argument(
         "--frames",

@@ -12,9 +12,9 @@ from gelstereo.cli.files import write_image
 from gelstereo.templates import MM_PER_UNIT, load_part
 
 EXAMPLES = """examples:
-  gelstereo template plug.stl --units m --output preview.png               what the mesh is, and a picture of it
-  gelstereo template plug.stl --units m --save plug.template               to localize with, without the mesh
-  gelstereo template scan.ply --units mm --output preview.png              points with outward normals
+  gelstereo template plug.stl --units m --output preview.png            what the mesh is, and a picture of it
+  gelstereo template plug.stl --units m --save plug.template            to localize with, without the mesh
+  gelstereo template scan.ply --units mm --output preview.png           points with outward normals
 
 Faces that point inward are turned. Holes and symmetries are reported. STEP files contain their unit.
 """

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from gelstereo import Error
 from gelstereo.cli.options import count
-from gelstereo.cli.progress import Counter
 from gelstereo.export.lerobot import FORMAT, export_lerobot
+from gelstereo.progress import Progress
 
 EXAMPLES = """examples:
   gelstereo export run.mcap --to lerobot out/dataset --task "grasp the peg"
@@ -48,7 +48,7 @@ def run(arguments: argparse.Namespace) -> int:
     if kind not in FORMATS:
         raise Error(f"there is no format {kind!r}; valid is {' or '.join(FORMATS)}")
     views = {"both": ("left", "right"), "none": ()}.get(arguments.images, (arguments.images,))
-    with Counter("exporting") as progress:
+    with Progress("exporting") as progress:
         episodes = export_lerobot(
             arguments.recordings,
             Path(folder),

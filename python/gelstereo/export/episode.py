@@ -32,7 +32,8 @@ with needs(__name__):
     import pyarrow.parquet as pq
 
 _ROWS_AT_ONCE = 64
-#: Largest number of frames for image statistics; every fourth pixel along each axis is used, similar to LeRobot.
+#: Largest number of frames for image statistics; every fourth pixel along each axis is used, similar to
+#: LeRobot.
 _SAMPLED_IMAGES, _SAMPLED_PIXELS = 100, 4
 
 

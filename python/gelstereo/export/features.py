@@ -18,8 +18,8 @@ DISPLACEMENT = "observation.tactile.displacement"
 MARKER_STATE = "observation.tactile.marker_state"
 IMAGES = "observation.images."
 
-#: PNG compression, 1 to 9. A simulated 640 x 480 image as three equal colours takes 259 kB. Level 1 takes 301 kB in two
-#: thirds of the time; level 9 takes 237 kB in ten times the time.
+#: PNG compression, 1 to 9. A simulated 640 x 480 image as three equal colours takes 259 kB. Level 1 takes 301
+#: kB in two thirds of the time; level 9 takes 237 kB in ten times the time.
 _PNG_LEVEL = 3
 
 Features = dict[str, dict[str, Any]]
@@ -97,8 +97,11 @@ def values_of(
 
 
 def row_of(values: Values) -> dict[str, Any]:
-    """Values as a row of a data file. Images become PNG files of three equal colours, the input format of policies."""
-    import cv2
+    """Values as a row of a data file. Images become PNG files of three equal colours, the input format of
+    policies.
+    """
+    with needs(__name__):
+        import cv2
 
     row: dict[str, Any] = {}
     for name, value in values.items():

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gelstereo import Error
+from gelstereo.extras import needs
 
 Image = npt.NDArray[np.uint8]
 
@@ -22,7 +23,8 @@ def decoded(data: bytes | memoryview | npt.NDArray[np.uint8]) -> Image:
     Error
         If it is no image.
     """
-    import cv2
+    with needs(__name__):
+        import cv2
 
     file = np.frombuffer(data, dtype=np.uint8)
     image: Any = cv2.imdecode(file, cv2.IMREAD_GRAYSCALE) if file.size else None

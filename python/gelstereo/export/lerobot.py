@@ -1,7 +1,7 @@
 """Recordings as a LeRobotDataset, format v3.0, which LeRobot 0.4 and later open from a folder.
 
-Each recording is an episode. The format is written with pyarrow alone, so that neither LeRobot nor torch is needed;
-LeRobot's own loader opens the result in the tests.
+Each recording is an episode. The format is written with pyarrow alone, so that neither LeRobot nor torch is
+needed; LeRobot's own loader opens the result in the tests.
 """
 
 from __future__ import annotations
@@ -48,7 +48,8 @@ def export_lerobot(
     task
         Description of the task in words.
     fps
-        Frames per second. Default: the rate of the first recording. Steps without a frame repeat the nearest one.
+        Frames per second. Default: the rate of the first recording. Steps without a frame repeat the nearest
+        one.
     views
         Views whose images are exported: any of ``left`` and ``right``.
     progress

@@ -29,7 +29,9 @@ def statistics(values: npt.NDArray[np.generic]) -> Statistics:
 
 
 def image_statistics(levels: npt.NDArray[np.generic], count: int) -> Statistics:
-    """Statistics of grey images as three equal colours from 0 to 1, (3, 1, 1), from sampled levels (0 to 255)."""
+    """Statistics of grey images as three equal colours from 0 to 1, (3, 1, 1), from sampled levels (0 to
+    255).
+    """
     grey = statistics(np.asarray(levels, dtype=np.float64).reshape(-1) / 255.0)
     out = {name: np.broadcast_to(value.reshape(1, 1, 1), (3, 1, 1)) for name, value in grey.items()}
     return {**out, "count": np.array([count], dtype=np.float64)}

@@ -29,7 +29,8 @@ class Timeline:
 
     @classmethod
     def of(cls, times_ns: Sequence[int], fps: int | None = None) -> Timeline:
-        """Steps from the first frame to the last. Default for `fps`: the recording's rate, rounded to an integer.
+        """Steps from the first frame to the last. Default for `fps`: the recording's rate, rounded to an
+        integer.
 
         Examples
         --------

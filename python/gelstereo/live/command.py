@@ -88,7 +88,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--show",
         choices=["auto", "window", "web", "rerun", "none"],
         default="auto",
-        help="viewer; auto is a window where there can be one, else a web page of this computer (%(default)s)",
+        help="viewer; auto is a window where possible, else a web page of this computer (%(default)s)",
     )
     parser.add_argument(
         "--port",
@@ -218,7 +218,9 @@ def _part(arguments: argparse.Namespace) -> tuple[ExpectedPart | None, dict[str,
 
 
 def _part_of(scene: SceneSource, folder: Path) -> tuple[ExpectedPart | None, dict[str, Any] | None]:
-    """The scene's part, expected at its first pose in the scene; None without a part. `folder` is the scene's."""
+    """The scene's part, expected at its first pose in the scene; None without a part. `folder` is the
+    scene's.
+    """
     start = scene.simulator[0].t_sensor_object
     shape = scene.simulator.scene.to_dict().get("indenter")
     if shape is None or start is None:

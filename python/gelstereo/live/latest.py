@@ -9,7 +9,9 @@ T = TypeVar("T")
 
 
 class Latest(Generic[T]):
-    """The newest of a sequence of values, and its number. Each reader waits for a value newer than its last one."""
+    """The newest of a sequence of values, and its number. Each reader waits for a value newer than its last
+    one.
+    """
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
@@ -41,7 +43,9 @@ class Latest(Generic[T]):
         return self._closed
 
     def newer_than(self, number: int, timeout_s: float) -> tuple[int, T] | None:
-        """Wait for a value with a number above `number`; return both, or None after `timeout_s` or if closed."""
+        """Wait for a value with a number above `number`; return both, or None after `timeout_s`
+        or if closed.
+        """
         with self._changed:
             self._changed.wait_for(lambda: self._number > number or self._closed, timeout_s)
             if self._number > number and self._value is not None:

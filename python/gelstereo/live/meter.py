@@ -11,8 +11,8 @@ import numpy as np
 
 from gelstereo.live.sensing import LiveResult
 
-#: Window for rate and latency, seconds before the last frame: long enough for a 99th percentile at 60 Hz, short enough
-#: to show changes quickly.
+#: Window for rate and latency, seconds before the last frame: long enough for a 99th percentile at 60 Hz,
+#: short enough to show changes quickly.
 _WINDOW_S = 2.0
 _KEPT_EVENTS = 5
 

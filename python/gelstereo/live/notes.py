@@ -1,4 +1,6 @@
-"""Notes of a live recording besides images and clouds, in the host's format: JSON messages and the configuration."""
+"""Notes of a live recording besides images and clouds, in the host's format: JSON messages and the
+configuration.
+"""
 
 from __future__ import annotations
 
@@ -18,8 +20,8 @@ Floats = npt.NDArray[np.float64]
 
 _MM_PER_M = 1000.0
 
-#: Prior standard deviations of a held part for directions that its contact does not determine: the defaults of the
-#: host's ``task.part_sigma_mm`` and ``task.part_sigma_rad``.
+#: Prior standard deviations of a held part for directions that its contact does not determine: the defaults
+#: of the host's ``task.part_sigma_mm`` and ``task.part_sigma_rad``.
 _PART_SIGMA_MM, _PART_SIGMA_RAD = 0.6, 0.03
 
 
@@ -35,8 +37,8 @@ def ros_covariance(information: Floats, t_sensor_object: Floats) -> Floats:
     Returns
     -------
     (6, 6) float64
-        x y z, then rotations about them; metres and radians. Undetermined directions have the prior variance of a held
-        part: large but finite, as filters require.
+        x y z, then rotations about them; metres and radians. Undetermined directions have the prior variance
+        of a held part: large but finite, as filters require.
     """
     x, y, z = t_sensor_object[:3, 3]
     # The perturbation moves the origin p by δp = v + ω x p, so v = δp + p x ω.
@@ -53,7 +55,9 @@ def ros_covariance(information: Floats, t_sensor_object: Floats) -> Floats:
 
 
 def frame_note(result: LiveResult) -> dict[str, Any]:
-    """The host's message about a frame on ``/gelstereo/frame``: counts and the digest of all results, or the error."""
+    """The host's message about a frame on ``/gelstereo/frame``: counts and the digest of all results, or the
+    error.
+    """
     sensed = result.sensed
     if sensed is None:
         return {"error": result.problem}
@@ -69,7 +73,9 @@ def frame_note(result: LiveResult) -> dict[str, Any]:
 
 
 def pose_note(located: Localization) -> dict[str, Any]:
-    """Description of a pose for ``/gelstereo/stage``: how it was found, its free directions, and the digest."""
+    """Description of a pose for ``/gelstereo/stage``: how it was found, its free directions, and
+    the digest.
+    """
     return {
         "stage": "live",
         "tracking": located.tracking,

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gelstereo import Localization, MarkerState, Rig
+from gelstereo.extras import needs
 from gelstereo.live.meter import Reading
 from gelstereo.live.sensing import ExpectedPart, LiveResult, contact_of, markers_of
 from gelstereo.view.canvas import FAINT, INK, PAPER, SALIENT, Colour, Image
@@ -36,7 +37,8 @@ class LivePicture:
     """Draws live results of one sensor."""
 
     def __init__(self, rig: Rig, part: ExpectedPart | None = None, title: str = "gelstereo live") -> None:
-        import cv2
+        with needs(__name__):
+            import cv2
 
         self._cv2: Any = cv2
         self._rig = rig
@@ -160,7 +162,7 @@ class LivePicture:
         if result.located is not None:
             words.append((pose_in_words(result.located.t_sensor_object), INK))
             free = "; ".join(map(str, result.located.free)) or "nothing"
-            words.append((f"{result.located.tracking or 'found'}; free: {free}", FAINT))
+            words.append((f"{result.located.tracking or 'found'}; free, object frame: {free}", FAINT))
         if result.problem is not None and result.problem != result.frame.event:
             words.append((result.problem, _ALARM))
         words += [(f"{event.after_s:.1f} s: {event.text}", _ALARM) for event in reading.events[-3:]]
@@ -177,7 +179,7 @@ class LivePicture:
         ]
         items.append((f"{contact_of(result.sensed)['salient']} salient", SALIENT))
         if result.located is not None:
-            items.append(("part's outline", _PART))
+            items.append(("part's outline; its axes x, y, z are red, green, blue", _PART))
         for text, colour in items:
             self._cv2.circle(canvas, (x + 6, y - 5), 5, colour, 2, self._cv2.LINE_AA)
             self._text(canvas, text, x + 17, y, 0.42, INK)

@@ -1,8 +1,9 @@
 """Recording a live run as MCAP with ROS 2 messages: the topics, names and units of `gelstereo-host run`.
 
-It is written from Python, with `mcap` and the message definitions of `rosbags`. The Rust recorder is part of the host
-process, and sending it every image through a pipe would cost more than writing the images here. The recording includes
-images, settings, rig and digests, so ``gelstereo-host replay`` can recompute every frame and compare.
+It is written from Python, with `mcap` and the message definitions of `rosbags`. The Rust recorder is part of
+the host process, and sending it every image through a pipe would cost more than writing the images here. The
+recording includes images, settings, rig and digests, so ``gelstereo-host replay`` can recompute every frame
+and compare.
 """
 
 from __future__ import annotations
@@ -67,7 +68,8 @@ _POINT = np.dtype(
 
 
 class LiveRecorder:
-    """Writes results to one file; a context manager. Every frame is flushed to the system before the next one.
+    """Writes results to one file; a context manager. Every frame is flushed to the system before the next
+    one.
 
     Parameters
     ----------
@@ -76,13 +78,13 @@ class LiveRecorder:
     rig, params
         Rig and settings of the pipeline.
     shape : dict, optional
-        The part's shape in the format of a scene's ``indenter``, so that `gelstereo view` can draw it. A mesh is
-        attached.
+        The part's shape in the format of a scene's ``indenter``, so that `gelstereo view` can draw it. A mesh
+        is attached.
     png
         Whether plain images are compressed without loss. Motion JPEG of a camera is stored unchanged.
     wall_clock
-        Whether messages are also stamped with the wall-clock time, as for a camera. Otherwise repeated runs produce
-        identical files.
+        Whether messages are also stamped with the wall-clock time, as for a camera. Otherwise repeated runs
+        produce identical files.
     """
 
     def __init__(
@@ -137,7 +139,8 @@ class LiveRecorder:
         return self._file.tell()
 
     def write(self, result: LiveResult) -> None:
-        """Write a result. For a stale frame only the event is written, because its images are in the file already.
+        """Write a result. For a stale frame only the event is written, because its images are in the file
+        already.
 
         Raises
         ------
@@ -276,7 +279,8 @@ class LiveRecorder:
 
 
 def _png(image: npt.NDArray[np.uint8]) -> bytes:
-    import cv2
+    with needs(__name__):
+        import cv2
 
     done, data = cv2.imencode(".png", image)
     if not done:

@@ -58,7 +58,9 @@ class LiveRun:
         self.stop()
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait for the end and return whether the run has ended. An error that ended it is raised here, once."""
+        """Wait for the end and return whether the run has ended. An error that ended it is raised
+        here, once.
+        """
         self._thread.join(timeout_s)
         if self._thread.is_alive():
             return False

@@ -67,7 +67,9 @@ class LiveResult:
 
 
 class LiveSensor:
-    """Runs the pipeline on live frames. The first good frame is the rest frame, in which nothing may touch the gel."""
+    """Runs the pipeline on live frames. The first good frame is the rest frame, in which nothing may touch
+    the gel.
+    """
 
     def __init__(self, rig: Rig, params: Params, part: ExpectedPart | None = None) -> None:
         self.rig = rig
@@ -81,7 +83,9 @@ class LiveSensor:
         self._touched = False
 
     def process(self, frame: LiveFrame) -> LiveResult:
-        """Sense a frame. Frames without markers or of another size give a result with a `problem`, not an error."""
+        """Sense a frame. Frames without markers or of another size give a result with a `problem`, not an
+        error.
+        """
         if frame.stale:
             return LiveResult(frame, reference_px=self._reference_px, problem=frame.event or "no new frame")
         arrived_ns = time.monotonic_ns() if frame.driver_ns is None else frame.driver_ns

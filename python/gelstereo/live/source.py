@@ -53,8 +53,8 @@ class LiveFrame:
     layout : str or None
         Arrangement of the views in a file of both, named as in `gelstereo.cameras`.
     event_fields : dict or None
-        The event in machine-readable form, as written by the host: ``event`` is its name, the other entries are its
-        figures.
+        The event in machine-readable form, as written by the host: ``event`` is its name, the other entries
+        are its figures.
     """
 
     left: Image
@@ -112,7 +112,9 @@ class SceneSource:
 
 
 class FolderSource:
-    """Images ``left/NAME.png`` and ``right/NAME.png`` of a folder, played forwards and backwards without end."""
+    """Images ``left/NAME.png`` and ``right/NAME.png`` of a folder, played forwards and backwards
+    without end.
+    """
 
     def __init__(self, folder: Path, rate_hz: float = DEFAULT_RATE_HZ) -> None:
         from gelstereo.cli.files import stereo_pairs

@@ -1,7 +1,7 @@
 """The live picture as a local web page: an MJPEG stream and a status in JSON.
 
-The server listens only on the loopback interface. Pictures are drawn on request, and every browser gets the newest one.
-A slow browser misses pictures but delays nothing.
+The server listens only on the loopback interface. Pictures are drawn on request, and every browser gets the
+newest one. A slow browser misses pictures but delays nothing.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from importlib.resources import files
 from typing import Any
 
 from gelstereo import Error
+from gelstereo.extras import needs
 from gelstereo.live.latest import Latest
 from gelstereo.live.shown import Shown
 from gelstereo.view.canvas import Image
@@ -46,7 +47,8 @@ class WebViewer:
             self._server = _Server((HOST, port), self)
         except OSError as error:
             raise Error(
-                f"port {port} of {HOST} cannot be used ({error.strerror}); name another one, or 0 for any free one"
+                f"port {port} of {HOST} cannot be used ({error.strerror}); name another one, or 0 for any "
+                "free one"
             ) from error
         self._thread = threading.Thread(target=self._server.serve_forever, name="web", daemon=True)
 
@@ -65,7 +67,9 @@ class WebViewer:
         self._thread.join()
 
     def picture(self, after: int) -> tuple[int, bytes] | None:
-        """Wait for a picture numbered above `after`; return it as JPEG with its number, or None after a timeout."""
+        """Wait for a picture numbered above `after`; return it as JPEG with its number, or None after a
+        timeout.
+        """
         found = self._newest.newer_than(after, _WAIT_S)
         if found is None:
             return None
@@ -168,7 +172,8 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 def _jpeg(picture: Image) -> bytes:
-    import cv2
+    with needs(__name__):
+        import cv2
 
     done, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
     if not done:

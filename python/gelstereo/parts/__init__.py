@@ -14,8 +14,8 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from gelstereo.parts.contacts import connector_3_5mm, irregular_part, key, screw_m10, sd_reader, usb_drive
-from gelstereo.parts.loft import loft, polar, rectangle, regular
 from gelstereo.parts.pegs import peg_hexagonal, peg_irregular, peg_round, peg_square, usb_plug
+from gelstereo.parts.sections import loft, polar, rectangle, regular
 
 if TYPE_CHECKING:
     import trimesh
@@ -40,12 +40,12 @@ __all__ = [
     "usb_plug",
 ]
 
-#: Parts that the paper grasps and inserts (Fig. 10), in its order (a) to (e).
 PEGS: "Mapping[str, Callable[[], trimesh.Trimesh]]" = MappingProxyType(
     {made.__name__: made for made in (peg_round, peg_square, peg_irregular, peg_hexagonal, usb_plug)}
 )
+"""Parts that the paper grasps and inserts (Fig. 10), in its order (a) to (e)."""
 
-#: Parts that the paper presses into the sensor (Fig. 12), in its order (a) to (f).
 CONTACTS: "Mapping[str, Callable[[], trimesh.Trimesh]]" = MappingProxyType(
     {made.__name__: made for made in (screw_m10, connector_3_5mm, sd_reader, key, irregular_part, usb_drive)}
 )
+"""Parts that the paper presses into the sensor (Fig. 12), in its order (a) to (f)."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from gelstereo.parts.loft import loft, polar, rectangle, regular
+from gelstereo.parts.sections import loft, polar, rectangle, regular
 
 if TYPE_CHECKING:
     import trimesh

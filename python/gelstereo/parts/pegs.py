@@ -1,8 +1,8 @@
 """The five objects that the paper grasps and inserts (Fig. 10): pegs (a) to (d) and a USB plug.
 
-The paper gives no dimensions; those here are estimated from its pictures. Pegs (a), (b) and (d) follow the IROS robotic
-grasping and manipulation competition, whose pegs are round and prismatic. Peg (c) has an irregular cap. All stand on
-the plane z = 0 with their axis along z; the inserted end points towards +z.
+The paper gives no dimensions; those here are estimated from its pictures. Pegs (a), (b) and (d) follow the
+IROS robotic grasping and manipulation competition, whose pegs are round and prismatic. Peg (c) has an
+irregular cap. All stand on the plane z = 0 with their axis along z; the inserted end points towards +z.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from gelstereo.parts.loft import loft, polar, rectangle, regular
+from gelstereo.parts.sections import loft, polar, rectangle, regular
 
 if TYPE_CHECKING:
     import trimesh
@@ -66,7 +66,9 @@ def peg_hexagonal(across_flats_mm: float = 8.0, length_mm: float = 40.0) -> trim
 
 
 def usb_plug(body_mm: tuple[float, float, float] = (15.0, 7.5, 22.0)) -> trimesh.Trimesh:
-    """Peg (e): a USB type A plug, 12.0 x 4.5 mm and 11.75 mm deep (standard dimensions), on a moulded body."""
+    """Peg (e): a USB type A plug, 12.0 x 4.5 mm and 11.75 mm deep (standard dimensions), on a
+    moulded body.
+    """
     width_mm, thickness_mm, length_mm = body_mm
     shell_mm, wall_mm, depth_mm = (12.0, 4.5), 0.3, 11.75
     points = 32

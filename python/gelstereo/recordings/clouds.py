@@ -7,16 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from gelstereo import Error, RestSurface
+from gelstereo import RestSurface
+from gelstereo.view.messages import RecordingError
 
 __all__ = ["CloudRecording", "RecordingError"]
 
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
-
-
-class RecordingError(Error):
-    """Files are not a recording, or are inconsistent."""
 
 
 @dataclass(frozen=True)
@@ -33,8 +30,8 @@ class CloudRecording:
     rest_mm: Array
     #: Times (frames,), seconds, not decreasing.
     time_s: Array
-    #: Frame numbers (frames,) of the recorder, increasing; a missing number is a lost frame. `None` if no frame was
-    #: lost.
+    #: Frame numbers (frames,) of the recorder, increasing; a missing number is a lost frame. `None` if no
+    #: frame was lost.
     sequence: Integers | None = None
 
     def __post_init__(self) -> None:

@@ -21,9 +21,10 @@ def load_pytac3d(folder: str | Path) -> CloudRecording:
     """Read one sensor's folder: ``3D_Positions.npy``, ``3D_Displacements.npy``, ``sendTimestamp.npy``
     and, if it is there, ``index.npy``.
 
-    The sensor frame of PyTac3D has z out of the gel, away from its camera, and millimetres, as gelstereo's. The rest
-    frame is the median over the frames of positions minus displacements. The median is needed because the recorder
-    zeroes the sensor occasionally, which moves its rest positions by some hundredths of a millimetre.
+    The sensor frame of PyTac3D has z out of the gel, away from its camera, and millimetres, as gelstereo's.
+    The rest frame is the median over the frames of positions minus displacements. The median is needed
+    because the recorder zeroes the sensor occasionally, which moves its rest positions by some hundredths of
+    a millimetre.
 
     Raises
     ------
@@ -56,8 +57,8 @@ def pytac3d_example(example: str, sensor: str) -> Path:
     spec = find_spec("PyTac3D")
     if spec is None or spec.origin is None:
         raise RecordingError(
-            "the wheel pytac3d is not installed; "
-            "get it with `pip install --no-deps pytac3d==3.3.0.9` (its recordings need none of its dependencies)"
+            "the wheel pytac3d is not installed; get it with `pip install --no-deps pytac3d==3.3.0.9` (its "
+            "recordings need none of its dependencies)"
         )
     root = Path(spec.origin).parent / "example_data"
     folder = root / example / sensor

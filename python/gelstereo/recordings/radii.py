@@ -1,7 +1,7 @@
 """The radius of one rigid part from the markers on it, in one or more frames, with its predicted error.
 
-The part has one radius in all frames and a separate pose in each. Gauss-Newton runs over the radius, with the poses
-eliminated frame by frame (Schur complement).
+The part has one radius in all frames and a separate pose in each. Gauss-Newton runs over the radius, with the
+poses eliminated frame by frame (Schur complement).
 """
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ def cap_radius_sigma_mm(
 ) -> float:
     """Standard error of a radius from a shallow cap, in closed form.
 
-    A cap of half width a is the parabola κ u² / 2 with κ = 1 / R; tilt and height are unknown. Markers spread evenly
-    over a disc have var(u² / 2) = a⁴ / 48, over a strip a⁴ / 45. This gives the error of κ; the error of R is R² times
-    as large.
+    A cap of half width a is the parabola κ u² / 2 with κ = 1 / R; tilt and height are unknown. Markers spread
+    evenly over a disc have var(u² / 2) = a⁴ / 48, over a strip a⁴ / 45. This gives the error of κ; the error
+    of R is R² times as large.
     """
     spread = 48.0 if shape == "sphere" else 45.0
     return float(radius_mm**2 * sigma_mm / half_width_mm**2 * np.sqrt(spread / markers))
@@ -60,12 +60,14 @@ def fit_radius(points_mm: Sequence[Array], shape: Shape, noise_mm: npt.ArrayLike
     shape
         ``"sphere"`` or ``"cylinder"``.
     noise_mm
-        Standard deviation (3,) of a marker along x, y and z; it weights the distances along the surface's normal.
+        Standard deviation (3,) of a marker along x, y and z; it weights the distances along the surface's
+        normal.
 
     Raises
     ------
     RecordingError
-        The arguments are not valid, a frame's markers are flat within their noise, or a plane fits them better.
+        The arguments are not valid, a frame's markers are flat within their noise, or a plane fits them
+        better.
     """
     if shape not in ("sphere", "cylinder"):
         raise RecordingError(f"shape is {shape!r}; valid is 'sphere' or 'cylinder'")
@@ -106,14 +108,16 @@ def fit_radius(points_mm: Sequence[Array], shape: Shape, noise_mm: npt.ArrayLike
 
 
 def _plane_squares(points_mm: Array, shape: str, noise_mm: float) -> float:
-    """Sum of squared distances from the best-fit plane; it is an error if the markers are flat within their noise."""
+    """Sum of squared distances from the best-fit plane; it is an error if the markers are flat within their
+    noise.
+    """
     points = np.asarray(points_mm, np.float64)
     rms_mm = fit_plane(points).rms_mm
     # Markers span fewer than three dimensions: the radius is undetermined.
     if not rms_mm > noise_mm:
         raise RecordingError(
-            f"{len(points)} markers lie {rms_mm:.2g} mm rms about a plane, which is no more than their noise of "
-            f"{noise_mm:.2g} mm; they do not determine the radius of a {shape}"
+            f"{len(points)} markers lie {rms_mm:.2g} mm rms about a plane, which is no more than their noise "
+            f"of {noise_mm:.2g} mm; they do not determine the radius of a {shape}"
         )
     return float(rms_mm**2 * len(points))
 

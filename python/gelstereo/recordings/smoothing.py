@@ -1,7 +1,8 @@
 """Estimation and removal of the recorder's smoothing over time.
 
-A mean over n frames correlates the noise of successive frames at rest, which shows the window's length. Under a moving
-part it smears the gel's relief: a ridge appears wider and lower than it is, and its radius too large.
+A mean over n frames correlates the noise of successive frames at rest, which shows the window's length. Under
+a moving part it smears the gel's relief: a ridge appears wider and lower than it is, and its radius too
+large.
 """
 
 from __future__ import annotations
@@ -33,7 +34,8 @@ _CREEP_DEGREE = 2
 
 
 def detrended_covariance(window: int, frames: int, degree: int = _CREEP_DEGREE) -> Array:
-    """Covariance (frames, frames) of white noise after a mean over ``window`` frames and the removal of a polynomial.
+    """Covariance (frames, frames) of white noise after a mean over ``window`` frames and the removal of a
+    polynomial.
 
     In units of the smoothed noise's variance, so that the diagonal is 1 without the polynomial.
     """
@@ -47,8 +49,8 @@ def detrended_covariance(window: int, frames: int, degree: int = _CREEP_DEGREE) 
 def smoothing_frames(points_mm: Sequence[Array]) -> int:
     """Estimate the number of frames over which the recorder averaged.
 
-    The autocorrelation of the noise at rest, after removal of slow creep, is compared with the prediction for means
-    over 1 to 8 frames. The prediction includes the effect of removing the creep.
+    The autocorrelation of the noise at rest, after removal of slow creep, is compared with the prediction for
+    means over 1 to 8 frames. The prediction includes the effect of removing the creep.
 
     Parameters
     ----------
@@ -70,8 +72,8 @@ def smoothing_frames(points_mm: Sequence[Array]) -> int:
 def noise_mm(points_mm: Sequence[Array], window: int = 1) -> Array:
     """Standard deviation (3,) of a marker's noise along x, y and z without contact.
 
-    Creep is removed. The result is corrected for the noise that this removes, for noise averaged over ``window``
-    frames.
+    Creep is removed. The result is corrected for the noise that this removes, for noise averaged over
+    ``window`` frames.
     """
     _check_stretches(points_mm)
     squares, share = np.zeros(3), 0.0
@@ -87,8 +89,9 @@ def noise_mm(points_mm: Sequence[Array], window: int = 1) -> Array:
 def undo_smoothing(recording: CloudRecording, window: int) -> CloudRecording:
     """Undo a mean over ``window`` frames, to second order in time.
 
-    The mean of x over n frames is x + (n² - 1) / 24 d²x/dt² about the window's middle. The smoothed frames have nearly
-    the same second difference. It does not exist at the recording's ends and beside lost frames; see `intact`.
+    The mean of x over n frames is x + (n² - 1) / 24 d²x/dt² about the window's middle. The smoothed frames
+    have nearly the same second difference. It does not exist at the recording's ends and beside lost frames;
+    see `intact`.
     """
     if window < 1:
         raise RecordingError(f"a window of {window} frames; at least 1 is needed")

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from gelstereo.extras import needs
+
 Colour = tuple[int, int, int]
 Image = npt.NDArray[np.uint8]
 
@@ -29,7 +31,8 @@ class Canvas:
     """An unfinished picture; sizes and positions are pixels of the finished one."""
 
     def __init__(self, width: int, height: int, paper: Colour = PAPER) -> None:
-        import cv2
+        with needs(__name__):
+            import cv2
 
         self._cv2: Any = cv2
         self.width, self.height = width, height

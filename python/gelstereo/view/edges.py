@@ -11,15 +11,16 @@ Floats = npt.NDArray[np.float64]
 
 #: Minimum angle between faces for a feature edge. Facets of a cylinder meet at smaller angles.
 _CREASE_COS = float(np.cos(np.radians(30.0)))
-#: Edges are split into segments of this length, so that lens distortion can bend them and the image border can cut
-#: them.
+#: Edges are split into segments of this length, so that lens distortion can bend them and the image border
+#: can cut them.
 _PIECE_MM = 0.5
 #: Minimum distance from the camera's centre; nearer points are inside the sensor.
 _NEAR_MM = 1.0
 
 
 def feature_edges_mm(part: Part) -> Floats:
-    """Segments of outline and creases, (E, 2, 3), sensor frame; those between faces that face away are left out.
+    """Segments of outline and creases, (E, 2, 3), sensor frame; those between faces that face away are left
+    out.
 
     Faces do not occlude each other: the picture shows where a part is, not its appearance.
     """

@@ -12,8 +12,8 @@ from urllib.parse import quote
 __all__ = ["Beside", "Block", "Details", "Figure", "Grid", "Heading", "Paragraph", "document"]
 
 _STYLE = """
-body { font: 15px/1.5 system-ui, sans-serif; color: #242c38; background: #fff; max-width: 76rem; margin: 2rem auto;
-  padding: 0 1.5rem; }
+body { font: 15px/1.5 system-ui, sans-serif; color: #242c38; background: #fff; max-width: 76rem;
+  margin: 2rem auto; padding: 0 1.5rem; }
 h1 { font-size: 1.7rem; margin-bottom: .3rem; }
 h2 { font-size: 1.25rem; margin-top: 2.4rem; border-bottom: 1px solid #d9dde2; }
 h3 { font-size: 1.05rem; margin-top: 1.6rem; }
@@ -120,7 +120,8 @@ def document(title: str, blocks: Sequence[Block]) -> str:
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{name}</title>\n<style>{_STYLE}</style>\n</head>\n<body>\n<h1>{name}</h1>\n{body}\n</body>\n</html>\n"
+        f"<title>{name}</title>\n<style>{_STYLE}</style>\n</head>\n"
+        f"<body>\n<h1>{name}</h1>\n{body}\n</body>\n</html>\n"
     )
 
 
@@ -135,7 +136,8 @@ def _block(block: Block) -> str:
         return _figure(block)
     if isinstance(block, Beside):
         return _picture(html.escape(quote(block.file)), "", html.escape(block.caption))
-    return f"<details><summary>{html.escape(block.title)}</summary><pre>{html.escape(block.text)}</pre></details>"
+    summary = f"<summary>{html.escape(block.title)}</summary>"
+    return f"<details>{summary}<pre>{html.escape(block.text)}</pre></details>"
 
 
 def _grid(grid: Grid) -> str:

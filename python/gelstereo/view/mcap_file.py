@@ -23,6 +23,8 @@ class Recorded:
 
     topic: str
     log_ns: int
+    #: Time on the frame source's clock.
+    source_ns: int
     data: bytes
 
 
@@ -58,14 +60,14 @@ def read_messages(path: Path) -> Iterator[Recorded]:
             )
         stream.seek(0)
         for _, channel, message in NonSeekingReader(stream).iter_messages(log_time_order=False):
-            yield Recorded(channel.topic, message.log_time, message.data)
+            yield Recorded(channel.topic, message.log_time, message.publish_time, message.data)
 
 
 def end_at_damage(path: Path, error: Exception, any_frame: bool) -> None:
     """Handle an error in reading or decoding a file's messages.
 
-    Messages before the damage are valid and are used. The reader and its decompressors have no common base class of
-    errors.
+    Messages before the damage are valid and are used. The reader and its decompressors have no common base
+    class of errors.
 
     Raises
     ------

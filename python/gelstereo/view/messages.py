@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gelstereo._native import Error, se3_exp, so3_log
+from gelstereo.extras import needs
 
 Floats = npt.NDArray[np.float64]
 
@@ -17,7 +18,7 @@ _MM_PER_METRE = 1000.0
 
 
 class RecordingError(Error):
-    """A file is not a recording of a sensor, or lacks data for a picture."""
+    """Files are not a recording of a sensor, are inconsistent, or lack data for a picture."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +85,8 @@ def image_of(data: bytes) -> npt.NDArray[np.uint8]:
 
 def compressed_image_of(data: bytes) -> npt.NDArray[np.uint8]:
     """(height, width) grey levels of a PNG or JPEG file in a message."""
-    import cv2
+    with needs(__name__):
+        import cv2
 
     cdr = Cdr(data)
     cdr.header()
@@ -187,3 +189,23 @@ def pose_of(data: bytes) -> Floats:
     pose = np.array(se3_exp([*so3_log(quaternion), 0.0, 0.0, 0.0]))
     pose[:3, 3] = np.array(position) * _MM_PER_METRE
     return pose
+
+
+def pose_sigma_of(data: bytes) -> Floats:
+    """(6,) standard deviations of a pose: x y z of the part's origin (mm), turns about them (rad); sensor
+    frame.
+    """
+    cdr = Cdr(data)
+    cdr.header()
+    cdr.numbers("d", 7)
+    variances = np.reshape(cdr.numbers("d", 36), (6, 6)).diagonal()
+    return np.sqrt(variances) * ([_MM_PER_METRE] * 3 + [1.0] * 3)
+
+
+def opening_of(data: bytes) -> float:
+    """Opening width of the gripper in a ``sensor_msgs/msg/JointState``, millimetres."""
+    cdr = Cdr(data)
+    cdr.header()
+    for _ in range(cdr.u32()):
+        cdr.string()
+    return float(cdr.numbers("d", cdr.u32())[0]) * _MM_PER_METRE

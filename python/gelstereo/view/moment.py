@@ -113,12 +113,12 @@ class Moment:
 
 
 def pose_in_words(t_sensor_object: npt.ArrayLike) -> str:
-    """Position and rotation vector of a pose, as text.
+    """Position and rotation vector of a part in the sensor frame, as text.
 
     Examples
     --------
     >>> pose_in_words(np.eye(4))
-    'position (0.00, 0.00, 0.00) mm, rotation (0.0, 0.0, 0.0) deg'
+    'sensor frame: position (0.00, 0.00, 0.00) mm, rotation vector (0.0, 0.0, 0.0) deg'
     """
     from gelstereo._native import se3_log
 
@@ -129,4 +129,5 @@ def pose_in_words(t_sensor_object: npt.ArrayLike) -> str:
         # Adding zero turns -0.0 into 0.0.
         return ", ".join(f"{round(float(v), digits) + 0.0:.{digits}f}" for v in values)
 
-    return f"position ({numbers(pose[:3, 3], 2)}) mm, rotation ({numbers(turn, 1)}) deg"
+    position, rotation = numbers(pose[:3, 3], 2), numbers(turn, 1)
+    return f"sensor frame: position ({position}) mm, rotation vector ({rotation}) deg"

@@ -46,7 +46,8 @@ def draw(moment: Moment) -> Image:
     colours, top_mm = indentation_colours(moment.indentation_mm)
     solid_height = body - _MAP_HEIGHT - _GAP
     _draw_map(canvas, moment, colours, top_mm, right, top)
-    canvas.text("contact in the sensor frame", right, top + _MAP_HEIGHT + 12, 13.0, FAINT)
+    solid_title = "sensor frame: x right in the image, y down, z away from the camera"
+    canvas.text(solid_title, right, top + _MAP_HEIGHT + 12, 13.0, FAINT)
     solid = draw_solid(moment, colours, _RIGHT_WIDTH, solid_height).finished()
     canvas.image(solid, right, top + _MAP_HEIGHT + _GAP, _RIGHT_WIDTH, solid_height)
     return canvas.finished()
@@ -106,13 +107,13 @@ def _draw_legend(canvas: Canvas, moment: Moment, x: int, y: int) -> None:
         canvas.text(text, x + 17, y, 13.0)
         x += 34 + 8 * len(text)
     part = "" if moment.part_edges_px is None else "; green: the part"
-    canvas.text(f"white arrows: motion{part}", x + 8, y, 13.0, FAINT)
+    canvas.text(f"left image; white arrows: motion{part}", x + 8, y, 13.0, FAINT)
 
 
 def _draw_map(
     canvas: Canvas, moment: Moment, colours: npt.NDArray[np.uint8], top_mm: float, x: int, y: int
 ) -> None:
-    canvas.text("indentation", x, y - 8, 13.0, FAINT)
+    canvas.text("indentation towards the cameras, by row and column", x, y - 8, 13.0, FAINT)
     side = _MAP_HEIGHT - _GAP
     cell = min(side / moment.rows, (_RIGHT_WIDTH - 90) / moment.cols)
     width, height = round(cell * moment.cols), round(cell * moment.rows)

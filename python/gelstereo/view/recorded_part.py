@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gelstereo._native import Rig, Scene, shape_mesh
+from gelstereo.extras import needs
 from gelstereo.view.mcap_file import Header
 
 Floats = npt.NDArray[np.float64]
@@ -41,7 +42,8 @@ def mesh_of(header: Header) -> tuple[Floats, Triangles] | None:
 def _attached_mesh(data: bytes, name: str, units: Any) -> tuple[Floats, Triangles]:
     from io import BytesIO
 
-    import trimesh
+    with needs(__name__):
+        import trimesh
 
     from gelstereo.templates import load_mesh
 

@@ -1,7 +1,7 @@
 """Output of moments to Rerun: its viewer, or a file.
 
-Needs the extra ``rerun``: ``pip install gelstereo[rerun]``. Rerun's viewer is started by its own command, because the
-SDK would make it listen on every network interface.
+Needs the extra ``rerun``: ``pip install gelstereo[rerun]``. Rerun's viewer is started by its own command,
+because the SDK would make it listen on every network interface.
 """
 
 from __future__ import annotations
@@ -66,7 +66,8 @@ class RerunStream:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        # The viewer stays open until the user closes it. A closed viewer accepts no data, so nothing is flushed to it.
+        # The viewer stays open until the user closes it. A closed viewer accepts no data, so nothing is
+        # flushed to it.
         if self._viewer is None or self._viewer.poll() is None:
             self.stream.flush()
             self.stream.disconnect()

@@ -93,7 +93,9 @@ def draw_part(canvas: Canvas, project: Projection, part: Part) -> None:
 def draw_surfels(
     canvas: Canvas, project: Projection, points_mm: Floats, normals: Floats, spacing_mm: float
 ) -> None:
-    """Draw points that face the viewer as discs of the neighbours' distance, the farthest first, lit from above."""
+    """Draw points that face the viewer as discs of the neighbours' distance, the farthest first, lit from
+    above.
+    """
     shade, flat = _lit(normals), project(points_mm)
     # Discs of this radius leave no gap between neighbours on a square grid.
     radius = project.scale * spacing_mm / np.sqrt(2.0)

@@ -202,7 +202,7 @@ def pose_notes(step: Step) -> list[str]:
     """Lines about a step's pose; none without one."""
     if step.t_sensor_object is None:
         return []
-    free = "free: " + "; ".join(step.free) if step.free else "all six directions determined"
+    free = "free, object frame: " + "; ".join(step.free) if step.free else "all six directions determined"
     return [pose_in_words(step.t_sensor_object), free]
 
 

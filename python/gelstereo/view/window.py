@@ -5,14 +5,17 @@ from __future__ import annotations
 import os
 import sys
 
+from gelstereo.extras import needs
+
 
 def window_problem(instead: str) -> str | None:
     """Reason why no window can be opened, or None. `instead` names an alternative for the message.
 
-    gelstereo depends on OpenCV's headless wheel, which has no windows even on a desktop. The full wheel brings Qt, and
-    cannot be installed beside it.
+    gelstereo depends on OpenCV's headless wheel, which has no windows even on a desktop. The full wheel
+    brings Qt, and cannot be installed beside it.
     """
-    import cv2
+    with needs(__name__):
+        import cv2
 
     if not cv2.currentUIFramework():
         return (

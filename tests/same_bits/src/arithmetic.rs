@@ -68,7 +68,8 @@ fn integers(add: &mut impl FnMut(&str, Digest)) {
     add("bit_counts", bits.fold(Digest::new(), Digest::u64));
 }
 
-/// Sorting that keeps the order of equal keys, sorting that need not, and selection; what is left free is not compared.
+/// Sorting that keeps the order of equal keys, sorting that need not, and selection; what is left free is not
+/// compared.
 fn orders(a: &[f64], add: &mut impl FnMut(&str, Digest)) {
     let key = |x: &f64| (x * 4.0) as i32;
     let mut sorted = a.to_vec();

@@ -48,7 +48,8 @@ pub struct Comparison {
 }
 
 impl Comparison {
-    /// Whether every committed digest of the groups was computed and is equal, and there is at least one of each group.
+    /// Whether every committed digest of the groups was computed and is equal, and there is at least one of
+    /// each group.
     #[must_use]
     pub fn is_good(&self) -> bool {
         self.faults.is_empty() && !self.equal.is_empty()

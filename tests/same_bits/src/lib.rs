@@ -34,7 +34,8 @@ pub struct Group {
     pub run: fn(&mut Digests) -> Outcome<()>,
 }
 
-/// All that needs no files, the smallest operations first: where a machine differs, the first difference is the cause.
+/// All that needs no files, the smallest operations first: where a machine differs, the first difference is
+/// the cause.
 pub const GROUPS: [Group; 9] = [
     Group { name: "arithmetic", run: arithmetic::run },
     Group { name: "function", run: functions::run },

@@ -8,7 +8,8 @@ from guest.usb.camera import Camera
 from guest.usb.descriptors import Mode
 
 OUT = Path("/out")
-# A mode for each kind of frames. Decoding under emulation takes some 0.4 us a pixel, so that only one is of usual size.
+# A mode for each kind of frames. Decoding under emulation takes some 0.4 us a pixel, so that only one is of
+# usual size.
 MODES = {
     "large": Mode(width=2560, height=720, rate_hz=30.0),
     "gel": Mode(width=1280, height=480, rate_hz=4.0),

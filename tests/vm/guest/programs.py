@@ -65,8 +65,8 @@ def answers(program: str, *arguments: str) -> list[Line]:
 
 
 def python_answers(code: str) -> list[Any]:
-    """What Python code said by ``say(...)``. It runs in a process of its own: hidapi holds Python's lock while it waits
-    for a device, and the device of a check is Python too.
+    """What Python code said by ``say(...)``. It runs in a process of its own: hidapi holds Python's lock
+    while it waits for a device, and the device of a check is Python too.
     """
     head = "import json, gelstereo.hid\ndef say(*values): print(json.dumps(values))\n"
     command = [sys.executable, "-c", head + textwrap.dedent(code)]

@@ -1,4 +1,6 @@
-"""Controls of a video device by their names, for the faults that the kernel's driver vivid makes on request."""
+"""Controls of a video device by their names, for the faults that the kernel's driver vivid makes
+on request.
+"""
 
 from __future__ import annotations
 

@@ -75,7 +75,9 @@ class Verdict:
         return self.chance >= MIN_CHANCE
 
     def placed(self, mount: Array | None = None, motion: Array | None = None) -> Array:
-        """Pose of the part in the hole's frame. Errors as in `over_hole`; the mount's error rotates about the part."""
+        """Pose of the part in the hole's frame. Errors as in `over_hole`; the mount's error rotates about the
+        part.
+        """
         return over_hole(self.truth, self.found, self.taught, mount, motion, self.truth[:3, 3])
 
 
@@ -131,7 +133,8 @@ def wilson(successes: int, trials: int) -> tuple[float, float]:
 
 
 def allowed(chosen: Sequence[Verdict], angle: str, share: float = 1.0) -> float | None:
-    """Largest angle (a key of `Verdict.hold`) up to which at least this share of grasps goes in, rad, or None.
+    """Largest angle (a key of `Verdict.hold`) up to which at least this share of grasps goes in, rad, or
+    None.
 
     An angle counts only if at least `_MIN_GRASPS` grasps do not exceed it.
     """
@@ -196,7 +199,9 @@ def break_even(
 
 
 def cause(fit: Fit, placed: Array) -> str:
-    """Reason why a part does not go in: the component of its pose error that suffices by itself, and its size."""
+    """Reason why a part does not go in: the component of its pose error that suffices by itself, and its
+    size.
+    """
     axis = placed[:3, 2]
     tilt_deg = float(np.rad2deg(np.arctan2(np.hypot(axis[0], axis[1]), axis[2])))
     turn_deg = float(np.rad2deg(np.arctan2(placed[1, 0] - placed[0, 1], placed[0, 0] + placed[1, 1])))

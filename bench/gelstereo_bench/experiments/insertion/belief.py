@@ -1,8 +1,9 @@
 """Belief about a part's pose: a mixture of normal distributions with a common covariance.
 
-Beliefs from two looks at the same part are fused by multiplying their densities. The product of two mixtures is a
-mixture over the pairs of their poses. Each pair is fused by its covariances, and weighted by the agreement of its
-poses. For two single poses this is the fusion of two normal distributions in information form.
+Beliefs from two looks at the same part are fused by multiplying their densities. The product of two mixtures
+is a mixture over the pairs of their poses. Each pair is fused by its covariances, and weighted by the
+agreement of its poses. For two single poses this is the fusion of two normal distributions in information
+form.
 """
 
 from __future__ import annotations
@@ -31,7 +32,8 @@ class Belief:
 
     #: Mean pose, used for the insertion, (4, 4).
     t_sensor_object: Array
-    #: Motions (ω, v) of the part from the mean, in its own frame, (N, 6), and their weights, (N,), with sum 1.
+    #: Motions (ω, v) of the part from the mean, in its own frame, (N, 6), and their weights, (N,), with sum
+    #: 1.
     motions: Array
     weights: Array
     #: (6, 6) covariance about each pose.
@@ -67,8 +69,8 @@ class Belief:
         return np.asarray(self.motions[of] + about)
 
     def moved(self, t_new_old: Array, covariance: Array) -> Belief:
-        """Belief in another sensor frame, (4, 4), after a random motion of the part in its own frame with covariance
-        (6, 6).
+        """Belief in another sensor frame, (4, 4), after a random motion of the part in its own frame with
+        covariance (6, 6).
         """
         pose = np.asarray(t_new_old @ self.t_sensor_object)
         return Belief(pose, self.motions, self.weights, self.spread + covariance)
@@ -76,8 +78,8 @@ class Belief:
     def log_pairs(self, poses: Sequence[Array], spread: Array) -> Array:
         """Log agreement of each of other poses (M, 4, 4) with each of these, (M, N).
 
-        `spread` (6, 6) is the covariance about each of the other poses. Summed over these poses, the agreement is this
-        belief's density at the other poses up to a constant factor.
+        `spread` (6, 6) is the covariance about each of the other poses. Summed over these poses, the
+        agreement is this belief's density at the other poses up to a constant factor.
         """
         apart = _motions(self.t_sensor_object, poses)[:, None] - self.motions[None]
         squared = np.einsum("mni,ij,mnj->mn", apart, np.linalg.inv(self.spread + spread), apart)
@@ -85,7 +87,9 @@ class Belief:
             return np.asarray(np.log(self.weights) - 0.5 * squared)
 
     def fused(self, poses: Sequence[Array], weights: Array, spread: Array) -> Belief:
-        """Fuse with poses (M, 4, 4) of another look, whose `weights` (M,) already include this belief's density."""
+        """Fuse with poses (M, 4, 4) of another look, whose `weights` (M,) already include this belief's
+        density.
+        """
         pairs = np.exp(_normalised_logs(self.log_pairs(poses, spread))) * weights[:, None]
         order = np.argsort(pairs, axis=None, kind="stable")[::-1][:_MAX_PAIRS]
         other, mine = np.unravel_index(order, pairs.shape)

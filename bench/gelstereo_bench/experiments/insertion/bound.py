@@ -1,13 +1,14 @@
-"""Cramér-Rao bound of a part's pose from the heights of markers in contact, and the resulting uncertainty over the
-hole.
+"""Cramér-Rao bound of a part's pose from the heights of markers in contact, and the resulting uncertainty
+over the hole.
 
-A marker in contact measures the height of the surface. Let x be its position and n the smooth surface's normal, in the
-part's frame. A motion (ω, v) of the part raises the surface there by (x × n)·ω + n·v. The Fisher information is the sum
-of the outer products of (x × n, n), divided by the marker's variance along n. Its inverse bounds the covariance of any
-unbiased registration of these heights (Cramér-Rao). Normals are those of the smooth part, not of the mesh's facets.
+A marker in contact measures the height of the surface. Let x be its position and n the smooth surface's
+normal, in the part's frame. A motion (ω, v) of the part raises the surface there by (x × n)·ω + n·v. The
+Fisher information is the sum of the outer products of (x × n, n), divided by the marker's variance along n.
+Its inverse bounds the covariance of any unbiased registration of these heights (Cramér-Rao). Normals are
+those of the smooth part, not of the mesh's facets.
 
-The bound ignores edges, which are informative through the markers that they separate. On flat faces, edges determine
-what heights do not.
+The bound ignores edges, which are informative through the markers that they separate. On flat faces, edges
+determine what heights do not.
 """
 
 from __future__ import annotations

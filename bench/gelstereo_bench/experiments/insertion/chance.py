@@ -40,7 +40,8 @@ def adjoint(pose: Array) -> Array:
 def object_covariance(found: Found, prior: Prior, besides: Array | None = None) -> Array:
     """Covariance of a small motion (ω, v) of the part in its own frame, (6, 6), from sensing and prior.
 
-    Along undetermined directions only the prior contributes. `besides` is additional information, (6, 6), sensor frame.
+    Along undetermined directions only the prior contributes. `besides` is additional information, (6, 6),
+    sensor frame.
     """
     to_centre: Array = np.eye(4)
     to_centre[:3, 3] = -found.centre_mm
@@ -53,7 +54,9 @@ def object_covariance(found: Found, prior: Prior, besides: Array | None = None) 
 
 
 def chance(hole: Hole, end: InsertedEnd, drawn: Array) -> float:
-    """Probability that a part goes in, 0 to 1: the share of sampled motions (ω, v) over the hole, (S, 6), that fit."""
+    """Probability that a part goes in, 0 to 1: the share of sampled motions (ω, v) over the hole, (S, 6),
+    that fit.
+    """
     motions = np.stack([np.asarray(se3_exp(twist)) for twist in drawn])
     return float(np.mean(hole.rooms_mm(end, motions) >= 0.0))
 
@@ -75,11 +78,12 @@ _MOTIONS = ("lean about x", "lean about y", "spin about z", "slide along x", "sl
 
 
 def weakest(hole: Hole, end: InsertedEnd, covariance: Array) -> str:
-    """Name the motion whose uncertainty reduces the inserted end's clearance most, and its standard deviation.
+    """Name the motion whose uncertainty reduces the inserted end's clearance most, and its standard
+    deviation.
 
-    `covariance` is that of a motion (ω, v) in the hole's frame. Each motion is made by one standard deviation in both
-    directions, about the middle of the hole, because the part's origin is far from it. A round part's spin does not
-    matter.
+    `covariance` is that of a motion (ω, v) in the hole's frame. Each motion is made by one standard deviation
+    in both directions, about the middle of the hole, because the part's origin is far from it. A round part's
+    spin does not matter.
     """
     about = np.eye(4)
     about[2, 3] = -0.5 * (hole.tip_mm + hole.mouth_mm)

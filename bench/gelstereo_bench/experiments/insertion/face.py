@@ -1,8 +1,8 @@
 """The smooth face under most markers of a contact, and the information from their heights.
 
-A row of markers beside an edge can be explained by the next face too, with a suitable shift and rotation of the part:
-two parameters fit a straight row. The apparent information of such a row does not determine how the part slides on its
-face.
+A row of markers beside an edge can be explained by the next face too, with a suitable shift and rotation of
+the part: two parameters fit a straight row. The apparent information of such a row does not determine how the
+part slides on its face.
 """
 
 from __future__ import annotations
@@ -37,7 +37,8 @@ _TOUCH_MM = 0.025
 
 
 def is_ridged(mesh: trimesh.Trimesh) -> bool:
-    """Whether two faces that can touch the gel meet at an edge along the part's axis, z, longer than the part's width.
+    """Whether two faces that can touch the gel meet at an edge along the part's axis, z, longer than the
+    part's width.
 
     A face perpendicular to the one on the gel is never touched.
     """
@@ -56,7 +57,8 @@ class Faces:
         self._tree = cKDTree(self._points_mm)
 
     def information(self, t_sensor_object: Array, points_mm: Array, covariance_mm2: Array) -> Array:
-        """Information on a motion (ω, v) in the sensor frame, (6, 6), from the markers on the largest face in contact.
+        """Information on a motion (ω, v) in the sensor frame, (6, 6), from the markers on the largest face in
+        contact.
 
         `points_mm` (N, 3) and `covariance_mm2` (N, 3, 3) are those of the salient markers, sensor frame.
         """

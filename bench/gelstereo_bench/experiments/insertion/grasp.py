@@ -1,8 +1,8 @@
 """Grasps of parts: possible poses in the gripper, and initial guesses for registration.
 
-The part lies across the gel with its tip down, towards the sensor frame's +y, between two parallel fingers. Pitch is
-its rotation in the gel's plane from the nominal direction, roll its tilt out of that plane. Both names are the paper's
-(Fig. 15, Rx and Ry of the sensor).
+The part lies across the gel with its tip down, towards the sensor frame's +y, between two parallel fingers.
+Pitch is its rotation in the gel's plane from the nominal direction, roll its tilt out of that plane. Both
+names are the paper's (Fig. 15, Rx and Ry of the sensor).
 """
 
 from __future__ import annotations
@@ -49,7 +49,8 @@ class Grasped:
     #: Insertion depth, and width of the hole minus width of the part, mm.
     depth_mm: float
     clearance_mm: float
-    #: Rotations of the hand about the axis of the standing part, rad, after which the fingers can hold it again.
+    #: Rotations of the hand about the axis of the standing part, rad, after which the fingers can hold it
+    #: again.
     again_rad: tuple[float, ...]
     #: Number of grasps in the paper (section V-A).
     trials: int = 36
@@ -66,11 +67,13 @@ def _turns(first_rad: float, count: int) -> tuple[float, ...]:
     return tuple(first_rad + 2.0 * np.pi * k / count for k in range(count))
 
 
-#: The irregular cap rests on two lobes, where its height over a plane has a minimum; on one lobe it would roll.
+#: The irregular cap rests on two lobes, where its height over a plane has a minimum; on one lobe it would
+#: roll.
 _ON_LOBES = 2.4
 
 
-#: Rotations of the hand about a part's axis between grasps: any angle, to the next face, or to the other side.
+#: Rotations of the hand about a part's axis between grasps: any angle, to the next face, or to the other
+#: side.
 _ANY_WAY, _NEXT_SIDES, _SIXTHS, _EITHER_SIDE = (
     (0.0, _QUARTER),
     (0.0, _QUARTER),
@@ -182,8 +185,8 @@ class Hold:
     def nominal(cls, part: Grasped, ranges: GraspRanges) -> Hold:
         """The taught grasp: in the middle, straight except for a small pitch angle.
 
-        An edge parallel to a row of markers is determined only to one marker pitch; an edge that crosses the rows, to a
-        fraction of it.
+        An edge parallel to a row of markers is determined only to one marker pitch; an edge that crosses the
+        rows, to a fraction of it.
         """
         return cls(
             0.1, 0.0, part.faces_rad[0], 0.0, float(np.mean(part.held_mm)), float(np.mean(ranges.press_mm))
@@ -236,11 +239,11 @@ def lie(hold: Hold, surface_mm: Array, middle_mm: Array, tip_z_mm: float) -> Arr
 
 
 def guesses(nominal: Hold, surface_mm: Array, patch_mm: Array, tip_z_mm: float) -> list[Array]:
-    """Initial guesses of a pose from a contact patch (N, 3), mm: centred on the patch and aligned with it, otherwise
-    nominal.
+    """Initial guesses of a pose from a contact patch (N, 3), mm: centred on the patch and aligned with it,
+    otherwise nominal.
 
-    The first guess lies along the patch's longer axis, if there is one, in the direction closer to the nominal pitch.
-    The others have the pitches `_PITCHES_RAD`. Other parameters as in `lie`.
+    The first guess lies along the patch's longer axis, if there is one, in the direction closer to the
+    nominal pitch. The others have the pitches `_PITCHES_RAD`. Other parameters as in `lie`.
     """
     middle = patch_mm.mean(axis=0)
     spread = (patch_mm - middle)[:, :2]

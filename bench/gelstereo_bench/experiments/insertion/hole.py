@@ -1,9 +1,9 @@
 """A hole for a part's end, and the test whether the part goes in from a given pose.
 
-The hole's frame is the part's frame at the ideal inserted pose, with z along the hole, into it. The hole is the widened
-convex hull of the part's inserted end, with vertical walls and without chamfer; both are rigid. The part is lowered
-along z without rotation or lateral motion. It goes in if and only if everything below the mouth at the end lies between
-the walls; what is below the mouth earlier is a subset of that.
+The hole's frame is the part's frame at the ideal inserted pose, with z along the hole, into it. The hole is
+the widened convex hull of the part's inserted end, with vertical walls and without chamfer; both are rigid.
+The part is lowered along z without rotation or lateral motion. It goes in if and only if everything below the
+mouth at the end lies between the walls; what is below the mouth earlier is a subset of that.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ Array = npt.NDArray[np.float64]
 
 #: Points farther from the walls than this are ignored, because others meet the walls first.
 _NEAR_MM = 0.75
-#: Walls with normals within this tolerance are merged: a section has points along its edges, which round-off displaces.
+#: Walls with normals within this tolerance are merged: a section has points along its edges, which round-off
+#: displaces.
 _SAME_WALL_RAD = 1e-4
 
 
@@ -48,7 +49,8 @@ class InsertedEnd:
         return cls(np.asarray(mesh.vertices, np.float64), np.asarray(mesh.edges_unique, np.int64))
 
     def below(self, mouth_mm: float, t_hole_object: Array) -> Array:
-        """Points with the same convex hull as the part beyond the plane z = `mouth_mm` of the hole's frame, (N, 3) mm.
+        """Points with the same convex hull as the part beyond the plane z = `mouth_mm` of the hole's frame,
+        (N, 3) mm.
 
         They are the vertices beyond the plane, and the intersections of edges with it.
         """
@@ -74,7 +76,8 @@ class Hole:
 
     @classmethod
     def around(cls, end: InsertedEnd, depth_mm: float, clearance_mm: float) -> Hole:
-        """Create the hole for `depth_mm` of a part's end; `clearance_mm` is the hole's width minus the part's.
+        """Create the hole for `depth_mm` of a part's end; `clearance_mm` is the hole's width minus the
+        part's.
 
         Raises
         ------
@@ -113,8 +116,8 @@ class Hole:
     def rooms_mm(self, end: InsertedEnd, motions: Array) -> Array:
         """`room_mm` of many motions of the inserted part, (S, 4, 4), small except about and along z; (S,) mm.
 
-        Only points near the walls at the inserted pose are checked. A motion that brings any other point to a wall
-        moves these points through it.
+        Only points near the walls at the inserted pose are checked. A motion that brings any other point to a
+        wall moves these points through it.
         """
         points = end.below(self.mouth_mm, np.eye(4))
         room = np.min(self.offsets_mm - points[:, :2] @ self.normals.T, axis=1)

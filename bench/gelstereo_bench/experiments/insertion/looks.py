@@ -1,13 +1,15 @@
-"""Further looks at a part whose first look is not sufficient: choice of the next grasp, and fusion of the results.
+"""Further looks at a part whose first look is not sufficient: choice of the next grasp, and fusion of the
+results.
 
-The first grasp is made while the part still stands in its holder. If the chance of insertion is too low, the hand
-opens, moves by a known amount, and closes on the standing part again. The next grasp is selected to reduce the
-uncertainty most. Every grasp that the part and its holder allow is predicted with the simulator as the robot's model,
-and the heights of markers in contact are fused with the present belief. The grasp with the highest expected chance of
-insertion is made. For example, heights on the next face of a peg determine what its first face leaves to the edges.
+The first grasp is made while the part still stands in its holder. If the chance of insertion is too low, the
+hand opens, moves by a known amount, and closes on the standing part again. The next grasp is selected to
+reduce the uncertainty most. Every grasp that the part and its holder allow is predicted with the simulator as
+the robot's model, and the heights of markers in contact are fused with the present belief. The grasp with the
+highest expected chance of insertion is made. For example, heights on the next face of a peg determine what
+its first face leaves to the edges.
 
-Between two looks the part may move in its holder, the arm has a repeatability error, and the fingers' position along
-the closing direction is uncertain. `Cell` states their sum.
+Between two looks the part may move in its holder, the arm has a repeatability error, and the fingers'
+position along the closing direction is uncertain. `Cell` states their sum.
 """
 
 from __future__ import annotations
@@ -43,7 +45,9 @@ _MARKER_SIGMA_MM = 0.0055
 
 @dataclass(frozen=True)
 class Cell:
-    """Uncertainty added by the robot's cell between two looks at a standing part: standard deviations per component."""
+    """Uncertainty added by the robot's cell between two looks at a standing part: standard deviations per
+    component.
+    """
 
     #: Repeatability of arms of this size: 0.03 mm is that of a UR5e by ISO 9283.
     shift_mm: float = 0.03
@@ -51,7 +55,9 @@ class Cell:
     turn_rad: float = 0.001
 
     def draw(self, point_mm: Array, random: np.random.Generator) -> Array:
-        """Draw a motion (ω, v) of the part, in its own frame, that rotates about a point of that frame, (3,) mm."""
+        """Draw a motion (ω, v) of the part, in its own frame, that rotates about a point of that frame, (3,)
+        mm.
+        """
         return self._carry(point_mm) @ (self._sigma * random.normal(size=6))
 
     def covariance(self, point_mm: Array) -> Array:
@@ -114,8 +120,8 @@ def regrasps(place: Workplace, belief: Belief) -> list[tuple[Regrasp, Array]]:
 def look_until_known(
     place: Workplace, method: Method, first: Look, others: Sequence[Belief], seed: int, cell: Cell = CELL
 ) -> list[Look]:
-    """Look again until the chance reaches `MIN_CHANCE`, at most `MAX_LOOKS` times; returns all looks, including the
-    first.
+    """Look again until the chance reaches `MIN_CHANCE`, at most `MAX_LOOKS` times; returns all looks,
+    including the first.
 
     `others` are the beliefs from teaching the goal. A grasp in which the part is not found ends the search.
     """
@@ -189,8 +195,8 @@ def _again(
 ) -> Look:
     """Grasp the part again, and fuse the result with the previous belief.
 
-    The hand moves so that the part, according to the belief, would be at `goal`. The fingers then close until the part
-    is pressed in to the depth given by their force.
+    The hand moves so that the part, according to the belief, would be at `goal`. The fingers then close until
+    the part is pressed in to the depth given by their force.
     """
     at = _held_at(place, regrasp)
     t_new_old = goal @ np.linalg.inv(last.belief.t_sensor_object)

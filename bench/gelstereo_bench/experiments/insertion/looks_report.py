@@ -67,31 +67,31 @@ def looks_blocks(ours: Sequence[Verdict], letters: Sequence[str]) -> list[Block]
         "grasps",
         *(f"attempted after {n} look{'s'[: n > 1]}, %" for n in range(1, MAX_LOOKS)),
         f"after {MAX_LOOKS} (95 % interval)",
-        "of these go in, %",
+        "of these inserted, %",
         "of those with further looks, %",
-        "further looks each",
+        "further looks, mean",
         "extra time s, mean (longest)",
     ]
     blocks: list[Block] = [
         Heading("Further looks"),
         Paragraph(
-            "The first grasp is made while the part stands in its holder. Where the chance is below "
-            f"{MIN_CHANCE}, the hand opens, moves by a known amount and closes on the standing part again, up to "
-            f"{MAX_LOOKS} looks in all. The look is the one after which the chance is predicted to be the highest. "
-            "Poses are fused with their likelihoods. Between two looks the part may move, the arm errs, and the "
-            f"fingers' place is uncertain: {CELL.shift_mm} mm and {CELL.turn_rad} rad in all, standard deviations of "
-            "every component. The robot acts on the last look."
+            "The first grasp is made while the part stands in its holder. If the chance is below "
+            f"{MIN_CHANCE}, the hand opens, moves by a known amount and closes on the standing part again, "
+            f"up to {MAX_LOOKS} looks in all. The look with the highest predicted chance is chosen. Poses "
+            "are fused with their likelihoods. Between two looks the part may move, and the positions of arm "
+            f"and fingers are uncertain. In total these are {CELL.shift_mm} mm and {CELL.turn_rad} rad, "
+            "standard deviations of every component. The robot acts on the last look."
         ),
         Paragraph(
-            f"Time: fingers open and close by {PACE.opening_mm:.0f} mm at {PACE.finger_mm_s:.0f} mm/s, the hand rises "
-            f"by {PACE.lift_mm:.0f} mm and comes down at {PACE.arm_mm_s:.0f} mm/s, and turns at "
-            f"{PACE.wrist_rad_s:.0f} rad/s. The time to compute a belief comes on top."
+            f"Time: fingers open and close by {PACE.opening_mm:.0f} mm at {PACE.finger_mm_s:.0f} mm/s, the "
+            f"hand rises by {PACE.lift_mm:.0f} mm and comes down at {PACE.arm_mm_s:.0f} mm/s, and rotates at "
+            f"{PACE.wrist_rad_s:.0f} rad/s. The time to compute a belief is not included."
         ),
         Grid("surface search, with further looks: attempts and insertions", head, rows),
     ]
     if kinds:
-        caption = "Further looks by how the hand was turned about the part's axis"
-        blocks.append(Grid(caption, ["part", "turned by deg", "looks", "chance reached, %"], kinds))
+        caption = "Further looks by rotation of the hand about the part's axis"
+        blocks.append(Grid(caption, ["part", "rotated by deg", "looks", "limit reached, %"], kinds))
     return blocks
 
 

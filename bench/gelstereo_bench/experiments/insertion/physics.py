@@ -1,8 +1,8 @@
 """The insertion as contact physics (MuJoCo, extra ``physics``): a check of the geometric verdict on a sample.
 
-The part's end is one convex body in a compliant hand, with springs and dampers in all six directions for the gel. A
-drive lowers the hand, and stops when the force exceeds a limit, which represents the paper's stop by marker motion. The
-hole's walls are boxes. Without the force limit nearly everything "inserts".
+The part's end is one convex body in a compliant hand, with springs and dampers in all six directions for the
+gel. A drive lowers the hand, and stops when the force exceeds a limit, which represents the paper's stop by
+marker motion. The hole's walls are boxes. Without the force limit nearly everything "inserts".
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ _DAMPING_NMS_PER_RAD = 1e-3
 class Hand:
     """Compliance of the hand, drive, and time step.
 
-    Stiffnesses are those of a contact of 100 mm2 on 5 mm of gel with a shear modulus of 70 kPa: G A / t in shear, and
-    the same at a lever arm of 5 mm for rotation. Stiffer directions have the same value, which is the softest
-    assumption.
+    Stiffnesses are those of a contact of 100 mm2 on 5 mm of gel with a shear modulus of 70 kPa: G A / t in
+    shear, and the same at a lever arm of 5 mm for rotation. Stiffer directions have the same value, which is
+    the softest assumption.
     """
 
     stiffness_n_per_mm: float = 1.4
@@ -59,7 +59,8 @@ class Hand:
 
 
 def descend(hole: Hole, end: InsertedEnd, t_hole_object: Array, hand: Hand, held_mm: float) -> float:
-    """Lower a part from above the mouth until it is in or the force limit stops it; returns the tip's depth, mm.
+    """Lower a part from above the mouth until it is in or the force limit stops it; returns the tip's depth,
+    mm.
 
     Parameters
     ----------
@@ -96,7 +97,9 @@ def descend(hole: Hole, end: InsertedEnd, t_hole_object: Array, hand: Hand, held
 
 
 def _scene(hole: Hole, points_mm: Array, t_hole_object: Array, hand: Hand, held_mm: float) -> str:
-    """MuJoCo model: metres, the mouth at z = 0, z into the hole; the origin of the part's body is where it is held."""
+    """MuJoCo model: metres, the mouth at z = 0, z into the hole; the origin of the part's body is where it is
+    held.
+    """
     rotation = t_hole_object[:3, :3]
     at_mm = rotation @ [0.0, 0.0, hole.tip_mm - held_mm] + t_hole_object[:3, 3]
     at_mm[2] = -_ABOVE_MM - (points_mm @ rotation.T)[:, 2].max()
@@ -111,7 +114,8 @@ def _scene(hole: Hole, points_mm: Array, t_hole_object: Array, hand: Hand, held_
     <mujoco>
       <option timestep="{hand.step_s}" gravity="0 0 0" integrator="implicitfast" cone="elliptic"/>
       <default>
-        <geom friction="{hand.friction}" condim="3" solref="{2.0 * hand.step_s} 1" solimp="0.99 0.999 0.00001"/>
+        <geom friction="{hand.friction}" condim="3"
+              solref="{2.0 * hand.step_s} 1" solimp="0.99 0.999 0.00001"/>
       </default>
       <asset><mesh name="end" vertex="{_numbers(points_mm * _M)}"/></asset>
       <worldbody>

@@ -1,8 +1,9 @@
-"""Geometric verdicts against contact physics on a sample of poses, and the effect of time step, compliance and force
-limit.
+"""Geometric verdicts against contact physics on a sample of poses, and the effect of time step, compliance
+and force limit.
 
-A trial is a direction of pose error over the hole. The largest error with a successful insertion is determined by
-geometry, and by physics with every hand. These limits show small changes that a share of verdicts would hide.
+A trial is a direction of pose error over the hole. The largest error with a successful insertion is
+determined by geometry, and by physics with every hand. These limits show small changes that a share of
+verdicts would hide.
 """
 
 from __future__ import annotations
@@ -67,8 +68,8 @@ def trials(repeats: int, seed: int) -> Sequence[Trial]:
 
 
 def limit(goes_in: Callable[[float], bool], max_distance: float, halvings: int) -> float:
-    """Largest distance with success, by bisection to `max_distance` / 2^`halvings`; `max_distance` if it always
-    succeeds.
+    """Largest distance with success, by bisection to `max_distance` / 2^`halvings`; `max_distance` if it
+    always succeeds.
 
     Success is assumed to be monotonic in the distance.
     """
@@ -82,10 +83,11 @@ def limit(goes_in: Callable[[float], bool], max_distance: float, halvings: int) 
 
 
 def run(configuration: Configuration, seed: int) -> Record:
-    """Find the limits of the pose error in one direction: ``geometry``, in units of `_TURN_RAD` and `_SHIFT_MM`, and
-    ``physics`` by hand, relative to that.
+    """Find the limits of the pose error in one direction: ``geometry``, in units of `_TURN_RAD` and
+    `_SHIFT_MM`, and ``physics`` by hand, relative to that.
 
-    ``depths_mm`` are the depths by hand at geometry's limit. Where geometry lets the part in, physics should too.
+    ``depths_mm`` are the depths by hand at geometry's limit. Where geometry lets the part in, physics should
+    too.
     """
     fit = fit_of(configuration["part"])
     random = np.random.default_rng(seed)
@@ -113,15 +115,15 @@ def _off(fit: Fit, twist: Array) -> Array:
 
 
 _ASKED = (
-    "Does a part that geometry lets in go in with contact, friction and a hand that yields; what does the hand's "
-    "compliance add; and do time step, compliance and force stop matter? Parts are lowered into their holes from ever "
-    "farther off, in directions drawn by chance."
+    "Is a part that the geometric verdict accepts also inserted with contact, friction and a compliant hand? "
+    "How much does the compliance add, and do time step, compliance and force stop matter? Parts are lowered "
+    "into their holes with increasing offsets, in random directions."
 )
 _CONDITIONS = (
-    f"simulated (MuJoCo); directions drawn with standard deviations of {_TURN_RAD} rad and {_SHIFT_MM} mm; limits are "
-    f"looked for up to {_MAX_RATIO} times that of geometry, to {_MAX_RATIO / 2**_HALVINGS}; a part is in from "
-    f"{_IN_MM} mm above the bottom on; time step {1e3 * Hand().step_s} ms, force stop {Hand().force_stop_n} N, "
-    f"{Hand().stiffness_n_per_mm} N/mm"
+    f"simulated (MuJoCo); directions drawn with standard deviations of {_TURN_RAD} rad and {_SHIFT_MM} mm; "
+    f"limits are searched up to {_MAX_RATIO} times the geometric limit, to within "
+    f"{_MAX_RATIO / 2**_HALVINGS}; a part counts as inserted from {_IN_MM} mm above the bottom; time step "
+    f"{1e3 * Hand().step_s} ms, force stop {Hand().force_stop_n} N, {Hand().stiffness_n_per_mm} N/mm"
 )
 
 
@@ -136,19 +138,19 @@ def report(trials: Sequence[Trial], records: Sequence[Record], given: Mapping[st
     ]
     head = [
         "part",
-        "at the limit of geometry: in",
-        "limit over that of geometry",
-        *(f"{name}: limit changes by %" for name in list(_HANDS)[1:]),
+        "inserted at the geometric limit",
+        "limit over the geometric limit",
+        *(f"{name}: change of the limit, %" for name in list(_HANDS)[1:]),
     ]
-    limits = Grid("Where parts stop going in: median over directions (least to largest)", head, rows)
+    limits = Grid("Limit of insertion: median over directions (least to largest)", head, rows)
     findings: list[Block] = [
         Heading("Geometry and physics"),
         Paragraph(
-            "What geometry lets in should go in. How much farther off a part may stand is what chamfers and a hand "
-            "that yields add, and geometry leaves out: its verdict is the stricter one where the ratio is above 1."
+            "Parts that geometry accepts should be inserted. Chamfers and a compliant hand allow larger "
+            "offsets, which geometry ignores. Its verdict is the stricter one if the ratio is above 1."
         ),
         limits,
-        Figure("Limits by part, over those of geometry", _limits(of_parts), "svg"),
+        Figure("Limits by part, over the geometric limits", _limits(of_parts), "svg"),
     ]
     return Report("Insertion by contact physics", _ASKED, _CONDITIONS, findings, given, [limits])
 
@@ -159,7 +161,7 @@ def _limits(of_parts: Mapping[str, Sequence[Record]]) -> bytes:
         hand: {letter: [record["physics"][hand] for record in mine] for letter, mine in of_parts.items()}
         for hand in _HANDS
     }
-    return as_svg(box_plots(panels, across=4, x_label="part", y_label="limit over that of geometry"))
+    return as_svg(box_plots(panels, across=4, x_label="part", y_label="limit over the geometric limit"))
 
 
 def _row(records: Sequence[Record], letter: str) -> list[str]:

@@ -33,14 +33,15 @@ ERRORS = (
 )
 
 _ASKED = (
-    "Is a grasped part located well enough to be inserted? Pegs (a) to (d) and a USB plug (e) lie in the middle of the "
-    "gripper, turned within the gel's plane (pitch) and tilted out of it (roll); the part is found from one contact, "
-    "the robot aligns it and lowers it straight into a hole that is less than 0.3 mm wider. The paper grasps each peg "
-    f"36 times and the plug 10 times; {100 * PAPER_SHARE:.1f} % go in with FilterReg (its Tables II and III, Fig. 15). "
-    "A part goes in if its mesh at the pose that the robot achieves lies within the hole's walls: both "
-    "are rigid, and nothing yields. Where contact cannot tell a direction that matters, a robot should refuse: the "
-    "chance of success is predicted from what is believed of the pose, its covariance and the other poses that explain "
-    f"the contact, and the robot goes ahead from {MIN_CHANCE} on."
+    "Is a grasped part located well enough to be inserted? Pegs (a) to (d) and a USB plug (e) lie in the "
+    "middle of the gripper, rotated within the gel's plane (pitch) and tilted out of it (roll). The part is "
+    "located from one contact. The robot aligns it and lowers it straight into a hole that is less than 0.3 "
+    "mm wider. The paper grasps each peg 36 times and the plug 10 times; FilterReg inserts "
+    f"{100 * PAPER_SHARE:.1f} % (Tables II and III, Fig. 15). A part counts as inserted if its mesh at the "
+    "achieved pose lies within the hole's walls; both are rigid. If the contact does not determine a "
+    "direction that matters, the robot should decline. The chance of success is predicted from the pose, its "
+    "covariance and the other poses that explain the contact. The robot attempts insertion if the chance is "
+    f"at least {MIN_CHANCE}."
 )
 
 
@@ -59,8 +60,9 @@ def insertion_report(trials: Sequence[Trial], records: Sequence[Record], inputs:
         *_failures(found, fits),
     ]
     conditions = (
-        f"{CONDITIONS}; grasps drawn evenly: pitch within {RANGES.pitch_rad} rad, roll within {RANGES.roll_rad} rad, "
-        f"{RANGES.shift_mm} mm across, pressed {RANGES.press_mm[0]} to {RANGES.press_mm[1]} mm"
+        f"{CONDITIONS}; grasps drawn uniformly: pitch within {RANGES.pitch_rad} rad, roll within "
+        f"{RANGES.roll_rad} rad, {RANGES.shift_mm} mm across, pressed {RANGES.press_mm[0]} to "
+        f"{RANGES.press_mm[1]} mm"
     )
     summary = [block for block in findings if isinstance(block, Grid)]
     return Report("Grasp, localize, insert", _ASKED, conditions, findings, inputs, summary)
@@ -96,12 +98,13 @@ def _success(found: Sequence[Verdict], fits: Mapping[str, Fit]) -> list[Block]:
     return [
         Heading("Success (Table II)"),
         Paragraph(
-            "All methods learn the goal by grasping the part over the hole: the paper's once, as the paper does, ours "
-            f"{len(METHODS[-1].taught_rad)} times, turned otherwise among the markers each time. All start from the "
-            "same guess: along the patch, and otherwise as in that grasp; ours from three more, and from about what it "
-            "found of a part with ridges, and it acts on the mean of the poses that explain the contact. The paper's "
-            "methods are given what the paper's sensing gives: "
-            "all markers deeper than 0.35 mm, half of which the gel's shoulder lifts beside the part."
+            "All methods learn the goal by grasping the part over the hole: the paper's once, as in the "
+            f"paper, ours {len(METHODS[-1].taught_rad)} times, each time at another angle to the markers. "
+            "All start from the same guess: along the patch, and otherwise as in that grasp. Ours also "
+            "starts from three other guesses and, for a part with ridges, near the poses that it found. It "
+            "acts on the mean of the poses that explain the contact. The paper's methods receive the points "
+            "of the paper's sensing: all markers deeper than 0.35 mm. Half of these lie on the gel's "
+            "shoulder beside the part."
         ),
         Grid(caption, ["part", "clearance mm", "grasps", *methods], rows),
     ]
@@ -120,22 +123,22 @@ def _chances(ours: Sequence[Verdict], fits: Mapping[str, Fit]) -> list[Block]:
             ["all" if letter is None else part_name(letter), share, share_text(go), share_text(stay), said]
         )
     curve = analysis.calibration(ours)
-    head = ["part", "go %", "of these go in, %", "of the others, %", "why not (how often)"]
+    head = ["part", "attempted, %", "of these inserted, %", "of the others, %", "reason to decline (count)"]
     bins = [
         [f"{mean:.2f}", str(count), *map(str, expected), str(inserted)]
         for (mean, count, inserted), expected in zip(curve, analysis.expected(ours), strict=True)
     ]
     return [
         Heading("Go or no-go"),
-        Grid(f"{METHODS[-1].name}: go from a predicted chance of {MIN_CHANCE} on", head, rows),
+        Grid(f"{METHODS[-1].name}: attempted if the predicted chance is at least {MIN_CHANCE}", head, rows),
         Grid(
-            f"{METHODS[-1].name}: predicted chance against what happened; as many go in as the chances have it in 95 % "
-            "of cases",
-            ["mean chance", "grasps", "go in at least", "at most", "go in"],
+            f"{METHODS[-1].name}: predicted chance and outcome; the expected range is the central 95 % for "
+            "the predicted chances",
+            ["mean chance", "grasps", "expected at least", "expected at most", "inserted"],
             bins,
         ),
         Figure(
-            "Predicted chance against the share that went in, with its 95 % interval; the line is right",
+            "Predicted chance and share inserted, with its 95 % interval; the line is a right prediction",
             figures.calibration_curve(curve),
             "svg",
         ),
@@ -157,18 +160,18 @@ def _bounds(trials: Sequence[Trial], records: Sequence[Record], fits: Mapping[st
         ]
         for letter, bounds in by_part.items()
     ]
-    head = ["part", "aside mm", "the hole leaves mm", "about its axis deg", "goes in by heights alone, %"]
+    head = ["part", "lateral mm", "half clearance mm", "about its axis deg", "chance by heights alone, %"]
     caption = (
-        "What the heights of the markers in contact tell at best of the part in the hole, the grasps over the hole "
-        "included: standard deviation, median (least to largest) over grasps"
+        "Bound from the heights of the markers in contact on the error of the part in the hole, with the "
+        "grasps over the hole: standard deviation, median (least to largest) over grasps"
     )
     return [
-        Heading("What a contact can tell", 3),
+        Heading("Limit of the heights", 3),
         Paragraph(
-            "The Cramér-Rao bound: no unbiased registration of the heights of the markers that touch knows the part "
-            f"better, joined with {PRIOR.shift_mm} mm and {PRIOR.rotation_rad} rad that are known before. Beside a "
-            "flat face heights leave open what only edges tell, by which markers they pass; a part that is smooth "
-            "where it is held has no edges, and what its heights leave open stays so."
+            "The Cramér-Rao bound: no unbiased registration of the heights of the markers in contact is more "
+            f"accurate. It includes the prior of {PRIOR.shift_mm} mm and {PRIOR.rotation_rad} rad. On a flat "
+            "face the heights leave directions free that only edges determine, by which markers they pass. A "
+            "part that is smooth where it is held has no edges, so these directions remain free."
         ),
         Grid(caption, head, rows),
         *_sides(fits),
@@ -195,10 +198,10 @@ def _sides(fits: Mapping[str, Fit]) -> list[Block]:
             ]
         )
     caption = (
-        f"{part_name('c')}: the same of one grasp by the side that lies on the gel, turned from that of the grasps; "
-        f"nominal press, markers known to {1e3 * _MARKER_SIGMA_MM} um"
+        f"{part_name('c')}: the same bound for one grasp on another side, by its rotation from the side of "
+        f"the grasps; nominal press, standard deviation of a marker {1e3 * _MARKER_SIGMA_MM} um"
     )
-    head = ["turned by deg", "markers that touch", "aside mm", "about its axis deg", "goes in, %"]
+    head = ["rotated by deg", "markers in contact", "lateral mm", "about its axis deg", "chance, %"]
     return [Grid(caption, head, rows)]
 
 
@@ -215,10 +218,10 @@ def reason(verdict: Verdict) -> str:
     """Reason why the robot declines: the least certain motion that matters, and whether it is free."""
     if verdict.refused is not None:
         return verdict.refused
-    motion = f"{verdict.weakest.partition(',')[0]} is known too little"
+    motion = f"{verdict.weakest.partition(',')[0]} is too uncertain"
     # Without the position, so that equal reasons are counted together.
     free = " and ".join(free.partition(" through ")[0] for free in verdict.matters)
-    return f"{motion} (no face tells {free})" if free else motion
+    return f"{motion} (no face determines {free})" if free else motion
 
 
 def _ranges(found: Sequence[Verdict], fits: Mapping[str, Fit]) -> list[Block]:
@@ -244,10 +247,11 @@ def _ranges(found: Sequence[Verdict], fits: Mapping[str, Fit]) -> list[Block]:
     return [
         Heading("Allowable poses (Table III)"),
         Paragraph(
-            f"The largest angle up to which at least {100 * PAPER_SHARE:.1f} % of the grasps go in, with a robot that "
-            "moves exactly; a dash where there is none. None can be larger than what is drawn. The paper shows "
-            "failures at 0.78 rad pitch (a), 0.27 rad roll (c), -0.21 rad roll (d) and 0.47 rad pitch (e), and puts "
-            "them down to its coordinate transforms: with these exact, pitch by itself costs nothing."
+            f"The largest angle up to which at least {100 * PAPER_SHARE:.1f} % of the grasps are inserted by "
+            "a robot that moves exactly; a dash if there is none. It is limited by the range of the drawn "
+            "grasps. The paper shows failures at 0.78 rad pitch (a), 0.27 rad roll (c), -0.21 rad roll (d) "
+            "and 0.47 rad pitch (e), and attributes them to its coordinate transforms. With exact "
+            "transforms, pitch alone has no effect."
         ),
         Grid("Allowable pitch and roll, rad", head, rows),
     ]
@@ -275,19 +279,19 @@ def _robots(ours: Sequence[Verdict], fits: dict[str, Fit]) -> list[Block]:
         found = analysis.break_even(share_at, limit)
         rows.append([name, f"{found:.3f} {unit_name}" if found is not None else "not reached"])
     return [
-        Heading("What robot errors cost"),
+        Heading("Effect of robot errors"),
         Paragraph(
-            "Standard deviation of every component, one error at a time; those of the sensor's pose in the hand are "
-            "drawn once for each of eight robots, those of the motion for every trial. Grasps that our method dares. A "
-            "sensor that sits otherwise than the robot believes matters as far as the part must be turned: what the "
-            "grasp over the hole has in common cancels."
+            "Standard deviation of every component, one error at a time. Errors of the sensor's pose in the "
+            "hand are drawn once for each of eight robots, those of the motion for every trial. The grasps "
+            "are those that our method attempts. An error of the sensor's pose matters in proportion to the "
+            "rotation of the part, because the error common to both grasps cancels."
         ),
         Grid(
-            f"Where success falls to the paper's {100 * PAPER_SHARE:.1f} %",
+            f"Error at which success falls to the paper's {100 * PAPER_SHARE:.1f} %",
             ["error", "standard deviation"],
             rows,
         ),
-        Figure("Share that goes in over the error", figures.error_curves(curves, PAPER_SHARE), "svg"),
+        Figure("Share inserted over the error", figures.error_curves(curves, PAPER_SHARE), "svg"),
     ]
 
 
@@ -296,12 +300,12 @@ _MAX_SWEPT = 100
 
 
 def _failures(found: Sequence[Verdict], fits: Mapping[str, Fit]) -> list[Block]:
-    """Fig. 15: for every method and part, the failure closest to success, and the share of failures with the same
-    cause.
+    """Fig. 15: for every method and part, the failure closest to success, and the share of failures with the
+    same cause.
     """
     blocks: list[Block] = [
         Heading("Failures (Fig. 15)"),
-        Paragraph("Of every method and part the failure with the median distance from going in."),
+        Paragraph("For every method and part, the failure with the median overlap of part and wall."),
     ]
     for method in METHODS:
         failed = {
@@ -315,8 +319,8 @@ def _failures(found: Sequence[Verdict], fits: Mapping[str, Fit]) -> list[Block]:
         if not shown:
             continue
         said = "; ".join(
-            f"{part_name(letter)} with {v.hold['pitch_rad']:+.2f} rad pitch and {v.hold['roll_rad']:+.3f} rad roll: "
-            f"{analysis.cause(fits[letter], v.placed())}"
+            f"{part_name(letter)} with {v.hold['pitch_rad']:+.2f} rad pitch and {v.hold['roll_rad']:+.3f} "
+            f"rad roll: {analysis.cause(fits[letter], v.placed())}"
             for letter, v in shown.items()
         )
         panels = {letter: (fits[letter], v.placed()) for letter, v in shown.items()}

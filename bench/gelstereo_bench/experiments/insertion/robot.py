@@ -1,10 +1,10 @@
 """Pose to which a robot moves the part: exact, or with errors of the coordinate transforms and of the motion.
 
-The robot was taught the hole by a grasp over it: the true pose of the part in the sensor was Y, and the estimate Ŷ. Now
-the true pose is X and the estimate X̂. The robot moves so that the estimated part would be where it was during
-teaching, and brings the part to Y⁻¹ Ŷ X̂⁻¹ X in the hole's frame. An error ε of the sensor's pose in the hand changes
-that to Y⁻¹ exp(-ε) Ŷ X̂⁻¹ exp(ε) X. It matters only as far as the robot rotates the part, as the paper observed
-(section VI-B).
+The robot was taught the hole by a grasp over it: the true pose of the part in the sensor was Y, and the
+estimate Ŷ. Now the true pose is X and the estimate X̂. The robot moves so that the estimated part would be
+where it was during teaching, and brings the part to Y⁻¹ Ŷ X̂⁻¹ X in the hole's frame. An error ε of the
+sensor's pose in the hand changes that to Y⁻¹ exp(-ε) Ŷ X̂⁻¹ exp(ε) X. It matters only as far as the robot
+rotates the part, as the paper observed (section VI-B).
 """
 
 from __future__ import annotations
@@ -65,8 +65,8 @@ def over_hole(
     taught
         True and found pose of the grasp over the hole.
     mount, motion
-        Errors, twists (ω, v): of the sensor's pose in the hand, in the sensor's frame about `about_mm`; and of the
-        motion, in the hole's frame.
+        Errors, twists (ω, v): of the sensor's pose in the hand, in the sensor's frame about `about_mm`; and
+        of the motion, in the hole's frame.
     about_mm
         Point of the sensor's frame about which `mount` rotates. Default: the frame's origin.
     """

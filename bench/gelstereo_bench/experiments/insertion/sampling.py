@@ -1,16 +1,16 @@
 """Posterior sampling of a part's pose: all poses that explain a contact, instead of one with its covariance.
 
-The height and the tilts of a flat face are determined to micrometres. Its position across the markers and its rotation
-in their plane are determined only by its edges, which are observed through the markers that they separate. The
-likelihood therefore has several peaks, and plateaus as wide as the marker pitch. These two motions are sampled. For
-every sample, a narrow prior holds the pose there while the other directions are registered again; the sample's weight
-is its likelihood. This is population Monte Carlo (Cappé et al. 2004) with the proposals of all rounds as one mixture
-(Cornuet et al. 2012).
+The height and the tilts of a flat face are determined to micrometres. Its position across the markers and its
+rotation in their plane are determined only by its edges, which are observed through the markers that they
+separate. The likelihood therefore has several peaks, and plateaus as wide as the marker pitch. These two
+motions are sampled. For every sample, a narrow prior holds the pose there while the other directions are
+registered again; the sample's weight is its likelihood. This is population Monte Carlo (Cappé et al. 2004)
+with the proposals of all rounds as one mixture (Cornuet et al. 2012).
 
-The likelihood assumes that the gel's model errors are independent between markers. Beside an edge they are not: all
-markers of a row along the edge have the same error. A shift and a rotation of the part that bring its next face onto
-the row explain all of them with two parameters. Markers at the same distance from an edge therefore count as one: log
-likelihoods are divided by their number (a power posterior; Bissiri et al. 2016).
+The likelihood assumes that the gel's model errors are independent between markers. Beside an edge they are
+not: all markers of a row along the edge have the same error. A shift and a rotation of the part that bring
+its next face onto the row explain all of them with two parameters. Markers at the same distance from an edge
+therefore count as one: log likelihoods are divided by their number (a power posterior; Bissiri et al. 2016).
 """
 
 from __future__ import annotations
@@ -43,7 +43,8 @@ _ROUNDS, _DRAWS, _WIDTHS_MM, _TIGHT_MM = 3, 40, (0.02, 0.06, 0.2, 0.8), 0.01
 _KNOWN_MM = 1e-3
 #: Prior of a look after earlier ones: 100 times less information than any `Prior` in use.
 _VAGUE = Prior(rotation_rad=3.0, shift_mm=20.0)
-#: Poses closer than this are one, mm; poses with a log likelihood below the best by more than this are dropped.
+#: Poses closer than this are one, mm; poses with a log likelihood below the best by more than this are
+#: dropped.
 _SAME_MM, _MAX_LOG_LOSS = 0.05, 8.0
 #: Minimum effective sample size; below it, likelihoods are tempered.
 _MIN_EFFECTIVE = 12.0
@@ -51,22 +52,23 @@ _MIN_EFFECTIVE = 12.0
 
 @dataclass(frozen=True)
 class InPlane:
-    """The two motions that the heights of a face do not determine: of the part's axis, across it and rotating in the
-    plane.
+    """The two motions that the heights of a face do not determine: of the part's axis, across it and rotating
+    in the plane.
 
     The directions determined by heights are kept along the motion; a curved part rolls.
     """
 
     base: Array
-    #: (6, 2) motions (ω, v) about the axis's point under the patch, sensor axes, per mm; and (2, 6) the inverse map.
+    #: (6, 2) motions (ω, v) about the axis's point under the patch, sensor axes, per mm; and (2, 6) the
+    #: inverse map.
     ways: Array
     reads: Array
     middle: Array
 
     @classmethod
     def of(cls, found: Found, from_heights: Array | None = None) -> InPlane:
-        """In-plane motions about an estimated pose. `from_heights` is the information from heights, (6, 6); by default
-        the pose's information.
+        """In-plane motions about an estimated pose. `from_heights` is the information from heights, (6, 6);
+        by default the pose's information.
         """
         axis, normal = found.t_sensor_object[:3, 2], np.array([0.0, 0.0, 1.0])
         origin, middle = found.t_sensor_object[:3, 3], np.eye(4)
@@ -76,8 +78,8 @@ class InPlane:
         reads[0, 3:] = across / np.linalg.norm(across)
         reads[1, :3] = _RADIUS_MM * normal
         carry = adjoint(middle)
-        # Of all motions with the given displacement, the likeliest by the heights; where these are uninformative, the
-        # shortest.
+        # Of all motions with the given displacement, the likeliest by the heights; where these are
+        # uninformative, the shortest.
         short = np.diag(np.repeat([_RADIUS_MM**2, 1.0], 3))
         across_all = np.linalg.solve(
             carry.T @ (found.information if from_heights is None else from_heights) @ carry + short, reads.T
@@ -102,7 +104,9 @@ class InPlane:
         return np.asarray(reads.T @ reads / _KNOWN_MM**2)
 
     def unsure_mm(self, covariance: Array) -> float:
-        """Largest standard deviation of both motions for a covariance of the part in its own frame, (6, 6)."""
+        """Largest standard deviation of both motions for a covariance of the part in its own
+        frame, (6, 6).
+        """
         carry = adjoint(np.asarray(np.linalg.inv(self.middle) @ self.base))
         there = self.reads @ carry @ covariance @ carry.T @ self.reads.T
         return float(np.sqrt(np.max(np.diag(there))))
@@ -119,10 +123,11 @@ def believed(
 ) -> Belief:
     """Belief about a part after some registrations, the best first.
 
-    If the best registration determines both motions, and no other pose explains the contact, the belief is that pose
-    with its covariance. `from_heights` is the information from heights about the best pose, (6, 6) in the sensor's
-    frame; by default its information. `alike` is the number of markers at the same distance from an edge, which count
-    as one. `before` is the belief of earlier looks, in this look's frame; it is fused with this look's result.
+    If the best registration determines both motions, and no other pose explains the contact, the belief is
+    that pose with its covariance. `from_heights` is the information from heights about the best pose, (6, 6)
+    in the sensor's frame; by default its information. `alike` is the number of markers at the same distance
+    from an edge, which count as one. `before` is the belief of earlier looks, in this look's frame; it is
+    fused with this look's result.
     """
     best, random = tried[0], np.random.default_rng([seed, 61])
     plane = InPlane.of(best, from_heights)
@@ -177,7 +182,9 @@ def _sampled(
     random: np.random.Generator,
     earlier: _Earlier,
 ) -> tuple[list[Array], Array]:
-    """Poses (4, 4) and weights (N,). First proposals are kernels about `peaks`; `alike` markers count as one."""
+    """Poses (4, 4) and weights (N,). First proposals are kernels about `peaks`; `alike` markers
+    count as one.
+    """
     centres = np.vstack([peaks, earlier.centres(plane, random)])
     weights, rounds = np.ones(len(centres)), []
     x, logs, poses, weighed = np.empty((0, 2)), np.empty(0), [], np.empty(0)

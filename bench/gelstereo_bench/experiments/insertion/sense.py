@@ -101,7 +101,9 @@ class Found:
         )
 
     def moved(self, turn_rad: float, along_mm: float) -> Array:
-        """Pose (4, 4) of the part rotated about the sensor's normal through the patch and shifted along its axis."""
+        """Pose (4, 4) of the part rotated about the sensor's normal through the patch and shifted along its
+        axis.
+        """
         turn = np.array(se3_exp([0.0, 0.0, turn_rad, 0.0, 0.0, 0.0]), np.float64)
         turn[:3, 3] = self.centre_mm - turn[:3, :3] @ self.centre_mm
         slid = np.array(self.t_sensor_object)
@@ -134,8 +136,8 @@ class Senses:
         return pipeline.process(grasp[-1].left, grasp[-1].right)
 
 
-#: Alternative poses to try for a wide and for a narrow search: rotations about the sensor's normal, rad, and shifts
-#: along the part's axis, mm, within the range of possible holds.
+#: Alternative poses to try for a wide and for a narrow search: rotations about the sensor's normal, rad, and
+#: shifts along the part's axis, mm, within the range of possible holds.
 _WIDE = ((0.0, 0.0), (0.0, -3.0), (0.0, 3.0))
 _NEAR = ((-0.012, 0.0), (0.012, 0.0), (0.0, -2.0), (0.0, -1.0), (0.0, 1.0), (0.0, 2.0))
 #: Minimum gain of log likelihood for an alternative pose.
@@ -165,9 +167,9 @@ class Registering:
     def again(self, tried: Sequence[Found]) -> list[Found]:
         """Register again from poses around the best one; the likeliest pose comes first, the others follow.
 
-        A part's end at the border of the gel determines its position along the axis, and edges determine its rotation,
-        but both only from a close start. Where neither is visible the part keeps its pose: alternatives that are only
-        slightly likelier are dropped.
+        A part's end at the border of the gel determines its position along the axis, and edges determine its
+        rotation, but both only from a close start. Where neither is visible the part keeps its pose:
+        alternatives that are only slightly likelier are dropped.
         """
         found = list(tried)
         best, whole, near = tried[0], self.method.params(), self.method.near()

@@ -41,10 +41,11 @@ class Taught:
 
 @lru_cache(maxsize=32)
 def taught(letter: str, method: Method) -> Taught:
-    """Teach a method the hole: the part is held in the middle, stands ideally over the hole, and is localized.
+    """Teach a method the hole: the part is held in the middle, stands ideally over the hole, and is
+    localized.
 
-    Each taught grasp has another rotation relative to the markers, because an edge along a row of markers is determined
-    only to one pitch. A method that compares poses looks again if one look is not sufficient.
+    Each taught grasp has another rotation relative to the markers, because an edge along a row of markers is
+    determined only to one pitch. A method that compares poses looks again if one look is not sufficient.
     """
     place = workplace(letter)
     errors, beliefs, bounds = [], [], []

@@ -31,12 +31,13 @@ _FIRST = 2
 def run(configuration: Configuration, seed: int) -> Record:
     """Grasp a part, localize it by every method, and test whether it would go in.
 
-    The record has the grasp, the true pose and the Cramér-Rao ``bound`` from the markers' heights. For each method it
-    has the pose used for the insertion, ``room_mm`` between part and walls (below 0 it does not go in), the predicted
-    ``chance`` and the number of ``poses`` in the belief (only of methods that compare poses). It also has the ``free``
-    directions of the contact's faces, which of them ``matters``, and the ``weakest`` motion over the hole; or
-    ``refused``, the reason why there is no pose. A method that compares poses looks again if its chance is too low.
-    ``looks`` then has the same data for all looks after the first, and the regrasp of each.
+    The record has the grasp, the true pose and the Cramér-Rao ``bound`` from the markers' heights. For each
+    method it has the pose used for the insertion, ``room_mm`` between part and walls (below 0 it does not go
+    in), the predicted ``chance`` and the number of ``poses`` in the belief (only of methods that compare
+    poses). It also has the ``free`` directions of the contact's faces, which of them ``matters``, and the
+    ``weakest`` motion over the hole; or ``refused``, the reason why there is no pose. A method that compares
+    poses looks again if its chance is too low. ``looks`` then has the same data for all looks after the
+    first, and the regrasp of each.
     """
     place = workplace(configuration["part"])
     hold = Hold.drawn(place.part, RANGES, np.random.default_rng(seed))

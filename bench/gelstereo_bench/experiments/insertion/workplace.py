@@ -64,8 +64,8 @@ class Workplace:
         return lie(hold, np.asarray(self.template.points_mm), self.middle_mm, self.hole.tip_mm)
 
     def grasp(self, t_sensor_object: Array, press_mm: float, seed: int) -> list[SimulatedFrame]:
-        """Frames while the fingers close on a part up to a pose and an indentation depth, so that markers can be
-        tracked.
+        """Frames while the fingers close on a part up to a pose and an indentation depth, so that markers can
+        be tracked.
 
         Frame numbers depend on the seed, and the noise on the frame number.
         """
@@ -77,7 +77,9 @@ class Workplace:
         return frames
 
     def reached(self, t_sensor_object: Array, press_mm: float) -> Array:
-        """Pose of the part, (4, 4), after fingers that close along the gel's normal have pressed it in to a depth."""
+        """Pose of the part, (4, 4), after fingers that close along the gel's normal have pressed it in to a
+        depth.
+        """
         points = np.asarray(self.template.points_mm)
         return reaching(t_sensor_object, points, self.middle_mm, self.middle_mm[2] - press_mm)
 
@@ -111,7 +113,9 @@ class Workplace:
         return tried[0], believed(tried, registering.held, PRIOR, seed, from_heights, alike, before)
 
     def covariance_bound(self, t_sensor_object: Array, contact: SimulatedFrame, frame: Frame) -> Array:
-        """Cramér-Rao bound of the part's pose, in its own frame, (6, 6), from the heights of markers in contact."""
+        """Cramér-Rao bound of the part's pose, in its own frame, (6, 6), from the heights of markers in
+        contact.
+        """
         seen = np.asarray(contact.in_contact) & (np.asarray(frame.state) == MarkerState.SEEN)
         return covariance_bound(
             self.surface, t_sensor_object, contact.points_mm[seen], frame.covariance_mm2[seen], PRIOR

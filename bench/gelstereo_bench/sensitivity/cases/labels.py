@@ -32,7 +32,9 @@ _SETS = 120
 
 
 def _points(seed: int) -> tuple[Array, Array]:
-    """Centres of a turned, sheared, bulged and jittered lattice, some missing, with strays; and all true ones."""
+    """Centres of a turned, sheared, bulged and jittered lattice, some missing, with strays; and all true
+    ones.
+    """
     random = np.random.default_rng([seed, 5])
     along = (np.arange(_SIDE) - 0.5 * (_SIDE - 1)) * _PITCH_PX
     grid = np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2)

@@ -1,4 +1,6 @@
-"""Registration by every method: parts in gels of four laws (half for work) and in the simulator's, and poses fused."""
+"""Registration by every method: parts in gels of four laws (half for work) and in the simulator's, and poses
+fused.
+"""
 
 from __future__ import annotations
 

@@ -8,8 +8,8 @@ struct Counting;
 static HELD: AtomicUsize = AtomicUsize::new(0);
 static PEAK: AtomicUsize = AtomicUsize::new(0);
 
-// SAFETY: every call goes to the system's allocator unchanged. What is not written here is made of `alloc` and `dealloc`;
-// while memory is moved both places count.
+// SAFETY: every call goes to the system's allocator unchanged. What is not written here is made of `alloc`
+// and `dealloc`; while memory is moved both places count.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         let held = HELD.fetch_add(layout.size(), Relaxed) + layout.size();

@@ -4,14 +4,15 @@
 //! time params.toml rig.toml left0.pgm right0.pgm left1.pgm right1.pgm ...
 //! ```
 //!
-//! Runs all pairs once and writes `memory BYTES`: the most that the pipeline, its results and their scratch held at one
-//! time, without the images. Then every line of standard input, `track 5` for example, is answered by one line with so
-//! many times in nanoseconds. The pairs come in turn, there and back, for each stage by itself, so that neighbours in time stay
-//! neighbours.
+//! Runs all pairs once and writes `memory BYTES`: the most that the pipeline, its results and their scratch
+//! held at one time, without the images. Then every line of standard input, `track 5` for example, is
+//! answered by one line with so many times in nanoseconds. The pairs come in turn, there and back, for each
+//! stage by itself, so that neighbours in time stay neighbours.
 //!
 //! - `track`: a stereo frame that follows another one
-//! - `again`: the last stereo frame, that follows itself: the same work every time, so that what differs is the machine's
-//! - `afresh`: a stereo frame of which nothing is known
+//! - `again`: the last stereo frame, that follows itself: the same work every time, so that what differs is
+//!   the machine's
+//! - `afresh`: a stereo frame without a predecessor
 //! - `detect`: both views' markers, afresh
 //! - `triangulate`: all points and their covariances
 //!
@@ -69,7 +70,8 @@ struct Bench {
     triangulator: Triangulator,
     frame: Frame,
     markers: Markers,
-    /// Pairs that each stage was given: with a count for all, frames would jump wherever another stage took its turn.
+    /// Pairs that each stage was given: with a count for all, frames would jump wherever another stage took
+    /// its turn.
     turns: BTreeMap<String, usize>,
 }
 

@@ -69,7 +69,8 @@ impl core::fmt::Display for CameraError {
         match self {
             Self::Invalid { field, found } => write!(
                 f,
-                "the camera's {field} is {found}; sizes and focal lengths must be above 0, and no number beyond {MAX_PX:e}"
+                "the camera's {field} is {found}; sizes and focal lengths must be above 0, and no number \
+                beyond {MAX_PX:e}"
             ),
             Self::BeyondDistortion { pixel_px } => write!(
                 f,
@@ -80,20 +81,21 @@ impl core::fmt::Display for CameraError {
             Self::PixelNotFinite => write!(f, "the pixel has a coordinate that is NaN or infinite"),
             Self::MissesLayers { pixel_px } => write!(
                 f,
-                "the ray of pixel ({:.2}, {:.2}) never meets the layers before the markers; is layers.normal in the \
-                 sensor frame, and away from the cameras?",
+                "the ray of pixel ({:.2}, {:.2}) never meets the layers before the markers; is layers.normal \
+                 in the sensor frame, and away from the cameras?",
                 pixel_px.x, pixel_px.y
             ),
             Self::NotInFront { point_mm: p } => write!(
                 f,
-                "the point ({}, {}, {}) mm is not in front of the camera; valid is a positive distance along its axis, \
-                 all finite",
+                "the point ({}, {}, {}) mm is not in front of the camera; valid is a positive distance along \
+                 its axis, all finite",
                 p.x, p.y, p.z
             ),
             Self::TotalReflection { point_mm: p } => write!(
                 f,
-                "light from the point ({}, {}, {}) mm is totally reflected before it reaches the camera; valid is a \
-                 point within the critical angle, or a camera that does not touch the layers (layers.gap_mm > 0)",
+                "light from the point ({}, {}, {}) mm is totally reflected before it reaches the camera; \
+                 valid is a point within the critical angle, or a camera that does not touch the layers \
+                 (layers.gap_mm > 0)",
                 p.x, p.y, p.z
             ),
         }

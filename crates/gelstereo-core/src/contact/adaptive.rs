@@ -294,3 +294,39 @@ fn score(cols: usize, bend: &[f64], candidate: &[bool]) -> Option<f64> {
     }
     (inside > 0).then(|| sum / sqrt(f64::from(inside + around)))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::DVec3;
+    use proptest::prelude::*;
+
+    const SIDE: usize = 7;
+    const MARKERS: usize = SIDE * SIDE;
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+
+        /// Evidence by a shorter decay length is that of the law with that length, noise included.
+        #[test]
+        fn a_shorter_length_has_its_own_evidence(
+            heights_mm in prop::collection::vec(-0.1..0.8_f64, MARKERS),
+            variances_mm2 in prop::collection::vec(1e-6..1e-3_f64, MARKERS), k in 0..SHORTER.len(),
+        ) {
+            let at = |i: usize| DVec3::new(0.9 * (i % SIDE) as f64, 0.9 * (i / SIDE) as f64, 30.0);
+            let rest = RestSurface::new(&(0..MARKERS).map(at).collect::<Vec<_>>()).unwrap();
+            let (state, mut out) = ([MarkerState::Seen; MARKERS], Vec::new());
+            let mut adaptive = AdaptiveSaliency::new(&rest, SIDE, SIDE, 2.5).unwrap();
+            let variances = || variances_mm2.iter().copied();
+            adaptive.run(&heights_mm, variances(), &state, &mut out).unwrap();
+            adaptive.press(k, &heights_mm, &state);
+            let mut shorter = Pressure::new(&rest, SIDE, SIDE, 2.5 * SHORTER[k]).unwrap();
+            shorter.run(&heights_mm, variances(), &state, &mut out).unwrap();
+            let laws = shorter.measured().0.iter().zip(shorter.noise_mm2());
+            for (found, (&pressure_mm, &noise_mm2)) in adaptive.evidence.iter().zip(laws) {
+                let expected = rule::evidence(pressure_mm, noise_mm2);
+                prop_assert!(abs(found - expected) <= 1e-9 * (1.0 + abs(expected)), "{found} {expected}");
+            }
+        }
+    }
+}

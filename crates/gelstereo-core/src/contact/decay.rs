@@ -130,3 +130,34 @@ impl DecayFit {
         })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::contact::RestSurface;
+    use crate::math::DVec3;
+    use crate::math::random::Stream;
+    use alloc::vec;
+
+    /// Gel that is flat but for noise adds nothing to the sums on average. Over n markers the sum of squares
+    /// less their variance has a standard deviation of √(2n) variances; five of them.
+    #[test]
+    fn noise_adds_no_height() {
+        const SIDE: usize = 25;
+        let at = |i: usize| DVec3::new(0.9 * (i % SIDE) as f64, 0.9 * (i / SIDE) as f64, 30.0);
+        let rest = RestSurface::new(&(0..SIDE * SIDE).map(at).collect::<Vec<_>>()).unwrap();
+        let mut pressure = Pressure::new(&rest, SIDE, SIDE, 2.5).unwrap();
+        let (mut fit, mut stream, mut found) = (DecayFit::default(), Stream::new(3, "flat gel"), Vec::new());
+        let (state, mut salient) = ([MarkerState::Seen; SIDE * SIDE], vec![false; SIDE * SIDE]);
+        salient[0] = true;
+        fit.start(SIDE * SIDE);
+        for _ in 0..20 {
+            let heights_mm: Vec<f64> = (0..SIDE * SIDE).map(|_| 0.01 * stream.normal()).collect();
+            pressure.run(&heights_mm, core::iter::repeat_n(1e-4, SIDE * SIDE), &state, &mut found).unwrap();
+            fit.add(&pressure, &heights_mm, &state, &salient);
+        }
+        assert!(fit.markers > 9000, "{}", fit.markers);
+        let most_mm2 = 5.0 * sqrt(2.0 * fit.markers as f64) * 1e-4;
+        assert!(fit.heights_mm2.abs() < most_mm2, "{} mm2", fit.heights_mm2);
+    }
+}

@@ -59,7 +59,8 @@ impl core::fmt::Display for ContactError {
             }
             Self::LengthMismatch { rest, found } => write!(
                 f,
-                "the cloud has {found} markers but the rest surface {rest}; both must come from the same tracks"
+                "the cloud has {found} markers but the rest surface {rest}; both must come from the same \
+                tracks"
             ),
             Self::NotFinite { index } => {
                 write!(f, "marker {index} has a coordinate that is NaN or infinite, or a variance below 0")

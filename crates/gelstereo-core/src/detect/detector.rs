@@ -8,7 +8,6 @@ use super::markers::{Markers, max_markers};
 use super::mask::segmentation::Segmentation;
 use super::mask::threshold::MIN_LEVELS;
 use super::search::half::{self, HalfSize};
-use super::search::masked::{Masked, MaskedSearch};
 use super::search::whole;
 use super::search::windows::WindowSearch;
 use super::window::size::MarkerSize;
@@ -24,7 +23,6 @@ pub struct Detector {
     segmentation: Segmentation,
     half: Option<HalfSize>,
     rung: Rung,
-    masked: MaskedSearch,
     windows: WindowSearch,
     glares: Glares,
     /// Region of interest: first column and row, width and height; `None` for the whole image.
@@ -33,8 +31,6 @@ pub struct Detector {
     size_px: (usize, usize),
     whole_px: (usize, usize),
     areas_px2: Vec<u32>,
-    /// Expected positions, relative to the region searched.
-    expected_px: Vec<DVec2>,
 }
 
 impl Detector {
@@ -46,14 +42,12 @@ impl Detector {
             segmentation: Segmentation::new(params),
             half: HalfSize::new(params),
             rung: Rung::new(params),
-            masked: MaskedSearch::new(params),
             windows: WindowSearch::new(params),
             glares: Glares::default(),
             roi_px: None,
             size_px: (0, 0),
             whole_px: (0, 0),
             areas_px2: Vec::new(),
-            expected_px: Vec::new(),
         }
     }
 
@@ -99,39 +93,6 @@ impl Detector {
         }
         self.doubt_under_glare(image, out);
         out.shift(origin_px);
-        Ok(())
-    }
-
-    /// Searches for one marker within `reach_px` of each expected position, in both axes. A marker is
-    /// found if it lies entirely in that window; `reach_px` is at most 31 px. `out` is cleared first.
-    ///
-    /// Results are bit-identical to those of [`Self::run`], since background and threshold use the whole
-    /// image. (Only the model fit may differ by a fraction of its covariance, because it learns the blur
-    /// from the markers found.) A marker beyond the reach is never assigned. Does not allocate after the
-    /// first image with as many positions.
-    ///
-    /// # Errors
-    /// [`DetectError`]; `out` is then empty.
-    pub fn run_near(
-        &mut self,
-        image: GrayView<'_>,
-        expected_px: &[DVec2],
-        reach_px: f64,
-        out: &mut Found,
-    ) -> Result<(), DetectError> {
-        out.clear();
-        let (image, origin_px) = self.part(image)?;
-        self.check(image)?;
-        self.areas_px2.clear();
-        self.areas_px2.reserve(expected_px.len());
-        self.expected_px.clear();
-        self.expected_px.reserve(expected_px.len());
-        self.expected_px.extend(expected_px.iter().map(|&at| at - origin_px));
-        self.segmentation.mask_all(image);
-        let masked = Masked { image, mask: self.segmentation.mask() };
-        self.masked.run(masked, self.rung.get(), &self.expected_px, reach_px, out);
-        self.doubt_under_glare(image, &mut out.markers);
-        out.markers.shift(origin_px);
         Ok(())
     }
 

@@ -55,19 +55,19 @@ impl core::fmt::Display for DetectError {
         match *self {
             Self::TooSmall { width, height, min_side_px } => write!(
                 f,
-                "the image is {width} x {height} pixels; a marker of detect.min_area_px2 with gel around it needs \
-                 {min_side_px} x {min_side_px}"
+                "the image is {width} x {height} pixels; a marker of detect.min_area_px2 with gel around it \
+                 needs {min_side_px} x {min_side_px}"
             ),
             Self::Region { roi_px: [x, y, columns, rows], width, height } => write!(
                 f,
-                "detect.roi begins at ({x}, {y}) and is {columns} x {rows} pixels, but the image is {width} x {height}; set \
-                 it within the image"
+                "detect.roi begins at ({x}, {y}) and is {columns} x {rows} pixels, but the image is {width} \
+                 x {height}; set it within the image"
             ),
             Self::Flat { low, high, threshold_levels } => {
                 write!(
                     f,
-                    "all grey levels lie from {low} to {high}, but markers must differ from their background by \
-                     {threshold_levels} or more (detect.threshold)"
+                    "all grey levels lie from {low} to {high}, but markers must differ from their background \
+                     by {threshold_levels} or more (detect.threshold)"
                 )?;
                 if high < threshold_levels {
                     write!(f, ": the image is black, check the light and the exposure")?;
@@ -78,8 +78,8 @@ impl core::fmt::Display for DetectError {
             }
             Self::TooMany { found, max } => write!(
                 f,
-                "{found} components or more differ from their background, but an image of this size may have {max}: the image is \
-                 noise, or detect.threshold_levels is too low"
+                "{found} components or more differ from their background, but an image of this size may have \
+                 {max}: the image is noise, or detect.threshold_levels is too low"
             ),
         }
     }

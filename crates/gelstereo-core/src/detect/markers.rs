@@ -3,6 +3,7 @@
 use crate::math::DVec2;
 use crate::math::linalg::Symmetric;
 use crate::params::DetectParams;
+use crate::spatial::rows::{MIN_SHARE, share_in_rows};
 use alloc::vec;
 use alloc::vec::Vec;
 
@@ -11,6 +12,9 @@ pub const MAX_MARKERS: usize = 8192;
 
 /// Image pixels per allowed marker.
 pub const PIXELS_PER_MARKER: usize = 50;
+
+/// Markers whose neighbours are examined by `Markers::share_in_rows`. It bounds the work.
+const MAX_SAMPLED: usize = 256;
 
 /// Markers found in one image, in raster order of their first pixels.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -48,6 +52,21 @@ impl Markers {
         let (covariance_px2, area_px2) =
             (vec![[[variance, 0.0], [0.0, variance]]; centres_px.len()], vec![1; centres_px.len()]);
         Self { centres_px, covariance_px2, area_px2, cut: Vec::new(), unfitted: 0 }
+    }
+
+    /// Share of the markers with two opposite neighbours at equal distance, as in the rows of a print; `None`
+    /// for fewer than nine markers.
+    ///
+    /// It is above 0.8 for most prints, and below 0.2 for clutter, noise and prints of random dots.
+    #[must_use]
+    pub fn share_in_rows(&self) -> Option<f64> {
+        share_in_rows(&|| self.centres_px.iter().copied(), MAX_SAMPLED)
+    }
+
+    /// Whether the markers look like a printed lattice; `None` for fewer than nine.
+    #[must_use]
+    pub fn is_in_rows(&self) -> Option<bool> {
+        self.share_in_rows().map(|share| share >= MIN_SHARE)
     }
 
     pub(super) fn clear(&mut self) {

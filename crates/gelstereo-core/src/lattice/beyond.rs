@@ -16,7 +16,7 @@ const LEAST: usize = 3;
 /// not. The line between is then printed too, but undetected.
 pub(super) fn with_lines_beyond(mut sites: Sites, points: &[DVec2], most_px: f64) -> Sites {
     let mut is_free = alloc::vec![true; points.len()];
-    for m in places(&sites).filter_map(|place| sites.at(place)) {
+    for m in sites.places().filter_map(|place| sites.at(place)) {
         is_free[m] = false;
     }
     if !is_free.contains(&true) {
@@ -62,7 +62,7 @@ fn grown(sites: &Sites, side: usize, line: &[Option<usize>]) -> Sites {
         3 => (0, 2),
         _ => (0, 0),
     };
-    for from in places(sites) {
+    for from in sites.places() {
         out.set(from.step(shift), sites.at(from));
     }
     for (k, &m) in (0..).zip(line) {
@@ -84,9 +84,4 @@ const fn place(sites: &Sites, side: usize, along: i32, inward: i32) -> Place {
 
 const fn length(sites: &Sites, side: usize) -> usize {
     if side.is_multiple_of(2) { sites.cols } else { sites.rows }
-}
-
-fn places(sites: &Sites) -> impl Iterator<Item = Place> + use<> {
-    let (rows, cols) = (sites.rows as i32, sites.cols as i32);
-    (0..rows).flat_map(move |row| (0..cols).map(move |col| Place::new(row, col)))
 }

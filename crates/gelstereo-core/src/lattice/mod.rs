@@ -13,13 +13,16 @@ mod fill;
 mod finder;
 mod foresight;
 mod found;
+mod layout;
 mod rest;
 mod seed;
+mod window;
 
 pub use anchor::{Anchor, AnchorEvidence, anchor};
 pub use finder::LatticeFinder;
 pub use foresight::foresight_sort;
 pub use found::{FoundLattice, Place, Side, Sites};
+pub use layout::Layout;
 pub(crate) use rest::rest_lattice_by;
 pub use rest::{rest_lattice, rest_lattice_of};
 
@@ -58,6 +61,13 @@ pub enum LabelError {
     NoLattice {
         /// Markers found.
         found: usize,
+    },
+    /// The markers are laid out in another way than a square lattice.
+    Layout {
+        /// Markers found.
+        found: usize,
+        /// How they are laid out.
+        layout: Layout,
     },
     /// The lattice found differs from the configured one.
     Shape {
@@ -139,29 +149,35 @@ impl core::fmt::Display for LabelError {
             Self::NotFinite { index } => write!(f, "the position of marker {index} is NaN or infinite"),
             Self::RowNotFilled { row, found, expected } => write!(
                 f,
-                "row {row} filled with {found} of {expected} markers: the lattice is turned or deformed too far for \
-                 the foresight sort; label.method = \"lattice\" keeps labels through tracks"
+                "row {row} filled with {found} of {expected} markers: the lattice is turned or deformed too \
+                 far for the foresight sort; label.method = \"lattice\" keeps labels through tracks"
             ),
             Self::NoLattice { found } => write!(
                 f,
-                "none of the {found} markers found has four neighbours as in a lattice; check detect.threshold_levels \
-                 and detect.polarity"
+                "none of the {found} markers found has four neighbours as in a lattice; check \
+                 detect.threshold_levels and detect.polarity"
+            ),
+            Self::Layout { found, layout } => write!(
+                f,
+                "found {found} markers, but {layout}; rows and columns are those of a square lattice of dots"
             ),
             Self::Torn { placed, dropped } => write!(
                 f,
-                "{dropped} markers do not stand where their neighbours say, and {placed} do: at most a tenth may disagree; \
-                 the gel is folded, or much is detected that is no marker"
+                "{dropped} markers do not stand where their neighbours say, and {placed} do: at most a tenth \
+                 may disagree; the gel is folded, or much is detected that is no marker"
             ),
             Self::Border { side, seen, length, rows, cols } => write!(
                 f,
-                "found {rows} rows x {cols} columns, but of the {} only {seen} of {length} markers: it may be specks or a \
-                 row of the print; set lattice.rows and lattice.cols",
+                "found {rows} rows x {cols} columns, but of the {} only {seen} of {length} markers: it may \
+                 be specks or a row of the print that the view cuts; set lattice.rows and lattice.cols, or \
+                 let both cameras see the whole lattice",
                 ["upper row", "left column", "lower row", "right column"][side % 4]
             ),
             Self::NeverPrinted { row, col, rows, cols } => write!(
                 f,
-                "found {rows} rows x {cols} columns, and whichever way they are turned a marker where lattice.missing says \
-                 that none was printed, last at row {row}, column {col}; correct lattice.missing"
+                "found {rows} rows x {cols} columns, and whichever way they are turned a marker where \
+                 lattice.missing says that none was printed, last at row {row}, column {col}; correct \
+                 lattice.missing"
             ),
             Self::Shape { rows, cols, labelled, expected_rows, expected_cols, max_missing } => {
                 write!(f, "found a lattice of {rows} rows x {cols} columns with {labelled} markers")?;
@@ -176,14 +192,15 @@ impl core::fmt::Display for LabelError {
                 let (off, most) = told_apart(off_px, most_px);
                 write!(
                     f,
-                    "the marker labelled row {row}, column {col} lies {off} px from where its neighbours say; at most \
-                     {most} px is a lattice"
+                    "the marker labelled row {row}, column {col} lies {off} px from where its neighbours \
+                     say; at most {most} px is a lattice"
                 )
             }
             Self::Slipped { row, col, off_px } => write!(
                 f,
-                "no marker was labelled row {row}, column {col}, but one without a label stands {off_px:.1} px from there: \
-                 the labels around it have slipped; take the rest frame while nothing touches the gel"
+                "no marker was labelled row {row}, column {col}, but one without a label stands {off_px:.1} \
+                 px from there: the labels around it have slipped; take the rest frame while nothing touches \
+                 the gel"
             ),
             Self::Irregular { row, col, .. } => {
                 write!(f, "the lattice folds over at the marker labelled row {row}, column {col}")
@@ -217,6 +234,9 @@ pub struct RestLattice {
     pub detection: Vec<Option<u32>>,
     /// Median distance of neighbours, pixels.
     pub pitch_px: f64,
+    /// Rows or columns with markers that were left out at the upper, right, lower and left side: those seen
+    /// in part, and those beyond `lattice.rows` and `lattice.cols`. Rows of a single speck do not count.
+    pub left_out: [usize; 4],
 }
 
 /// Checks that a labelling is a lattice: no cell folds over, and every marker lies within `most_px` of

@@ -2,7 +2,9 @@
 
 use super::beyond::with_lines_beyond;
 use super::fill::Partial;
-use super::found::{FoundLattice, Place, Sites};
+use super::found::FoundLattice;
+use super::layout::{Layout, is_hexagonal};
+use super::window::{PartialBorders, Window};
 use super::{LabelError, LatticeFinder, RestLattice, check_regular};
 use crate::detect::Markers;
 use crate::math::{DVec2, atan2};
@@ -10,18 +12,19 @@ use crate::params::LatticeParams;
 use crate::spatial::Grid;
 use alloc::vec::Vec;
 
-/// A border row or column of at least this length with a single detection consists of false detections.
-/// So does any row with at most one place in twelve detected. In a shorter row, one detection may be the
-/// remainder of a printed row.
-const LONG: usize = 8;
-
 /// Counts the rows and columns of a frame, labels it, and fills in up to `lattice.max_missing_share` of
 /// its markers where none was detected. The frame should be undisturbed, as later frames are compared
 /// with it; a frame under contact is labelled as well.
 ///
 /// The lattice is that of [`LatticeFinder`]. A border row counts if at least half of it is detected. It
 /// is discarded as false detections if it has a single marker, or one in twelve. In between,
-/// `lattice.rows` and `lattice.cols` decide; without them the frame is refused.
+/// `lattice.rows` and `lattice.cols` decide. Without them, border rows and columns that are seen in part
+/// are left out, the least seen first, until no more markers are missing than allowed:
+/// [`RestLattice::left_out`] counts them. With fewer rows or columns set than are seen, the rectangle with
+/// the most markers is labelled; of equals, the one in the middle.
+///
+/// So the lattice may be wider than the field of view. A pipeline of two views leaves none out, as its views
+/// might then differ by a column.
 ///
 /// The labels can be turned in four ways (two where rows and columns are set and differ). The turn whose
 /// rows run most nearly from left to right is taken, except that `lattice.missing` has priority: a turn
@@ -37,7 +40,9 @@ pub fn rest_lattice(
     tolerance_pitches: f64,
 ) -> Result<RestLattice, LabelError> {
     let finder = &mut LatticeFinder::default();
-    label_all(finder, detected_px, detected_px.len(), lattice, tolerance_pitches)
+    let borders = PartialBorders::LeaveOut;
+    label_all(finder, detected_px, detected_px.len(), lattice, tolerance_pitches, borders)
+        .map_err(|error| named(error, detected_px))
 }
 
 /// As [`rest_lattice`], but if the whole markers form no valid lattice, markers cut by the image border
@@ -54,10 +59,17 @@ pub fn rest_lattice_of(
     lattice: &LatticeParams,
     tolerance_pitches: f64,
 ) -> Result<RestLattice, LabelError> {
-    rest_lattice_by(&mut LatticeFinder::default(), detected, lattice, tolerance_pitches)
+    let finder = &mut LatticeFinder::default();
+    match rest_lattice_by(finder, detected, lattice, tolerance_pitches) {
+        Err(LabelError::Border { .. } | LabelError::Shape { .. }) => {
+            rest_lattice(&detected.centres_px, lattice, tolerance_pitches)
+        }
+        labelled => labelled,
+    }
 }
 
-/// As [`rest_lattice_of`], reusing the memory of a finder.
+/// As [`rest_lattice_of`], reusing the memory of a finder. No border row or column that is seen in part is
+/// left out.
 pub(crate) fn rest_lattice_by(
     finder: &mut LatticeFinder,
     detected: &Markers,
@@ -65,7 +77,9 @@ pub(crate) fn rest_lattice_by(
     tolerance_pitches: f64,
 ) -> Result<RestLattice, LabelError> {
     let whole = &detected.centres_px;
-    let without = label_all(finder, whole, whole.len(), lattice, tolerance_pitches);
+    let borders = PartialBorders::Refuse;
+    let without = label_all(finder, whole, whole.len(), lattice, tolerance_pitches, borders)
+        .map_err(|error| named(error, whole));
     if detected.cut.is_empty()
         || !matches!(without, Err(LabelError::Border { .. } | LabelError::Shape { .. }))
     {
@@ -74,7 +88,7 @@ pub(crate) fn rest_lattice_by(
     let all_px: Vec<DVec2> =
         whole.iter().copied().chain(detected.cut.iter().map(|cut| cut.centre_px)).collect();
     // If cut markers do not help, the error of the whole markers is the clearer one.
-    label_all(finder, &all_px, whole.len(), lattice, tolerance_pitches).or(without)
+    label_all(finder, &all_px, whole.len(), lattice, tolerance_pitches, borders).or(without)
 }
 
 /// Labels detections. The first `whole` are whole markers; the others only show that a marker exists.
@@ -84,12 +98,24 @@ fn label_all(
     whole: usize,
     lattice: &LatticeParams,
     tolerance_pitches: f64,
+    borders: PartialBorders,
 ) -> Result<RestLattice, LabelError> {
     let mut found = FoundLattice::default();
     finder.run_with_specks(detected_px, &mut found)?;
     let most_px = tolerance_pitches * found.pitch_px;
     let sites = with_lines_beyond(found.sites(), detected_px, most_px);
-    let window = Window::choose(&sites, whole, lattice)?;
+    let chosen = Window::choose(&sites, whole, lattice, PartialBorders::Refuse).or_else(|error| {
+        // The sheared cells of a hexagonal print would pass for a lattice with incomplete borders.
+        if is_hexagonal(&sites, detected_px) {
+            return Err(LabelError::Layout { found: detected_px.len(), layout: Layout::Hexagonal });
+        }
+        if borders == PartialBorders::Refuse {
+            Err(error)
+        } else {
+            Window::choose(&sites, whole, lattice, borders)
+        }
+    })?;
+    let window = chosen.window;
     let (rows, cols) = (window.rows(), window.cols());
     let taken: Vec<Option<u32>> = window.places().map(|p| sites.at(p).map(|m| m as u32)).collect();
     let detection: Vec<Option<u32>> = taken.iter().map(|d| d.filter(|&m| (m as usize) < whole)).collect();
@@ -98,8 +124,18 @@ fn label_all(
     check_regular(rows, cols, most_px, |r, c| partial.at[r * cols + c])?;
     let positions_px = partial.filled().ok_or(LabelError::NoLattice { found: detected_px.len() })?;
     check_gaps(detected_px, &positions_px, &taken, most_px, cols)?;
-    let rest = RestLattice { rows, cols, positions_px, detection, pitch_px: found.pitch_px };
+    let (pitch_px, left_out) = (found.pitch_px, chosen.left_out);
+    let rest = RestLattice { rows, cols, positions_px, detection, pitch_px, left_out };
     turn_as_printed(&rest, lattice)
+}
+
+/// Names the layout of markers that form no square lattice.
+fn named(error: LabelError, detected_px: &[DVec2]) -> LabelError {
+    let layout = match error {
+        LabelError::NoLattice { .. } | LabelError::Torn { .. } => Layout::of(detected_px),
+        _ => None,
+    };
+    layout.map_or(error, |layout| LabelError::Layout { found: detected_px.len(), layout })
 }
 
 /// Quarter turns that make columns rows. Of the two directions, the one nearer to left to right is taken.
@@ -108,145 +144,6 @@ pub(super) fn sideways(row_step: DVec2, col_step: DVec2) -> u8 {
     // Direction of the columns without shear.
     let across = col_step.normalize_or_zero() + row_step.perp().normalize_or_zero();
     if across.x > -0.087 * across.length() { 1 } else { 3 }
-}
-
-/// A rectangle of places; ends are exclusive.
-#[derive(Clone, Copy, Debug)]
-struct Window {
-    top: usize,
-    bottom: usize,
-    left: usize,
-    right: usize,
-}
-
-impl Window {
-    const fn rows(&self) -> usize {
-        self.bottom - self.top
-    }
-
-    const fn cols(&self) -> usize {
-        self.right - self.left
-    }
-
-    fn places(&self) -> impl Iterator<Item = Place> {
-        let Self { top, bottom, left, right } = *self;
-        (top..bottom).flat_map(move |r| (left..right).map(move |c| Place::new(r as i32, c as i32)))
-    }
-
-    /// Selects the printed rows and columns.
-    fn choose(found: &Sites, whole_markers: usize, lattice: &LatticeParams) -> Result<Self, LabelError> {
-        let counted = lattice.rows.is_none() && lattice.cols.is_none();
-        let mut whole = Self { top: 0, bottom: found.rows, left: 0, right: found.cols };
-        let is_none = |within: &Self, side: usize| {
-            within.line(found, side).is_of_specks()
-                || (counted && within.side(side).is_cut(found, whole_markers))
-        };
-        while let Some(side) = (0..4).find(|&side| is_none(&whole, side)) {
-            whole = whole.without(side);
-            if whole.rows().min(whole.cols()) < 3 {
-                return Err(whole.error(found, lattice));
-            }
-        }
-        let upright = whole.with_settings(found, lattice, [lattice.rows, lattice.cols]);
-        // After a quarter turn, the columns are the rows.
-        upright.or_else(|error| {
-            whole.with_settings(found, lattice, [lattice.cols, lattice.rows]).map_err(|_| error)
-        })
-    }
-
-    /// Removes outer rows and columns that exceed the configured numbers, if these are set.
-    fn with_settings(
-        mut self,
-        found: &Sites,
-        lattice: &LatticeParams,
-        printed: [Option<usize>; 2],
-    ) -> Result<Self, LabelError> {
-        for (axis, printed) in printed.into_iter().enumerate() {
-            while printed.is_some_and(|n| n < self.sides()[axis]) {
-                let [low, high] = [self.line(found, axis), self.line(found, axis + 2)];
-                let side = if low.seen < high.seen { axis } else { axis + 2 };
-                let (few, more) = (low.seen.min(high.seen), low.seen.max(high.seen));
-                if 2 * few >= low.length || 4 * (more - few) < low.length {
-                    return Err(self.error(found, lattice));
-                }
-                self = self.without(side);
-            }
-            if printed.is_some_and(|n| n != self.sides()[axis]) {
-                return Err(self.error(found, lattice));
-            }
-            for side in [axis, axis + 2].into_iter().filter(|_| printed.is_none()) {
-                let Line { seen, length } = self.line(found, side);
-                if 2 * seen < length {
-                    let (rows, cols) = (self.rows(), self.cols());
-                    return Err(LabelError::Border { side, seen, length, rows, cols });
-                }
-            }
-        }
-        let size = self.rows() * self.cols();
-        let labelled = self.places().filter(|&p| found.at(p).is_some()).count();
-        let enough = labelled + lattice.max_missing(size) + lattice.missing.len() >= size;
-        if self.rows().min(self.cols()) < 3 || !enough { Err(self.error(found, lattice)) } else { Ok(self) }
-    }
-
-    const fn sides(&self) -> [usize; 2] {
-        [self.rows(), self.cols()]
-    }
-
-    /// An outer row or column: upper, left, lower, right.
-    const fn side(&self, side: usize) -> Self {
-        let Self { top, bottom, left, right } = *self;
-        match side {
-            0 => Self { bottom: top + 1, ..*self },
-            1 => Self { right: left + 1, ..*self },
-            2 => Self { top: bottom - 1, ..*self },
-            _ => Self { left: right - 1, ..*self },
-        }
-    }
-
-    fn line(&self, found: &Sites, side: usize) -> Line {
-        let line = self.side(side);
-        let seen = line.places().filter(|&p| found.at(p).is_some()).count();
-        Line { seen, length: line.rows() * line.cols() }
-    }
-
-    /// Whether none of its markers is whole.
-    fn is_cut(&self, found: &Sites, whole_markers: usize) -> bool {
-        self.places().all(|p| found.at(p).is_none_or(|m| m >= whole_markers))
-    }
-
-    const fn without(mut self, side: usize) -> Self {
-        match side {
-            0 => self.top += 1,
-            1 => self.left += 1,
-            2 => self.bottom -= 1,
-            _ => self.right -= 1,
-        }
-        self
-    }
-
-    fn error(&self, found: &Sites, lattice: &LatticeParams) -> LabelError {
-        let (rows, cols) = (self.rows(), self.cols());
-        LabelError::Shape {
-            rows,
-            cols,
-            labelled: self.places().filter(|&p| found.at(p).is_some()).count(),
-            expected_rows: lattice.rows,
-            expected_cols: lattice.cols,
-            max_missing: lattice.max_missing(rows * cols),
-        }
-    }
-}
-
-/// An outer row or column: upper, left, lower, right.
-struct Line {
-    seen: usize,
-    length: usize,
-}
-
-impl Line {
-    const fn is_of_specks(&self) -> bool {
-        self.seen == 0 || (self.seen == 1 && self.length >= LONG) || 12 * self.seen <= self.length
-    }
 }
 
 /// Refuses a filled-in marker if an unlabelled detection lies within the tolerance of it: the labels
@@ -329,6 +226,8 @@ impl RestLattice {
             positions_px: order().map(|n| self.positions_px[n]).collect(),
             detection: order().map(|n| self.detection[n]).collect(),
             pitch_px: self.pitch_px,
+            // After a quarter turn, the right side is the upper one.
+            left_out: core::array::from_fn(|side| self.left_out[(side + usize::from(quarter_turns)) % 4]),
         }
     }
 

@@ -49,13 +49,14 @@ impl core::fmt::Display for PoseError {
             }
             Self::NotFinite { row, column, value, count } => write!(
                 f,
-                "{count} of 16 entries are NaN or infinite, the first of them in row {row}, column {column}: {value}; valid \
-                 is a rotation and a translation in finite numbers: does it come from a fit that failed?"
+                "{count} of 16 entries are NaN or infinite, the first of them in row {row}, column {column}: \
+                 {value}; valid is a rotation and a translation in finite numbers: does it come from a fit \
+                 that failed?"
             ),
             Self::QuaternionLength { length } => write!(
                 f,
-                "the rotation rotation_xyzw has length {length}; valid is a unit quaternion, or one of length 0.5 to 2, \
-                 which is brought to 1"
+                "the rotation rotation_xyzw has length {length}; valid is a unit quaternion, or one of \
+                 length 0.5 to 2, which is brought to 1"
             ),
             Self::LastRow(row) => write!(
                 f,
@@ -183,7 +184,8 @@ impl Mul for Pose {
 #[derive(serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 struct PoseFields {
-    /// Rotation as a unit quaternion x y z w. Valid: -2 to 2, and a length of about 1. Change it with the mounting.
+    /// Rotation as a unit quaternion x y z w. Valid: -2 to 2, and a length of about 1. Change it with the
+    /// mounting.
     rotation_xyzw: [f64; 4],
     /// Origin of the inner frame in the outer one. Valid: -1000 to 1000 mm. Change it with the
     /// mounting.
@@ -195,7 +197,7 @@ struct PoseFields {
 #[derive(serde::Deserialize)]
 #[serde(
     untagged,
-    expecting = "a pose is { rotation_xyzw = [x, y, z, w], translation_mm = [x, y, z] } or four rows of four numbers"
+    expecting = "a pose is { rotation_xyzw = [x, y, z, w], translation_mm = [x, y, z] } or 4 rows of 4"
 )]
 enum PoseForms {
     Fields(PoseFields),

@@ -33,8 +33,8 @@ impl core::fmt::Display for RotationError {
             }
             Self::NotOrthonormal { deviation, determinant } => write!(
                 f,
-                "the 3x3 part is no rotation: R Rᵀ is {deviation:.3e} off the identity and the determinant is \
-                 {determinant:.6}; valid is a deviation below {ORTHONORMAL_TOLERANCE:e} and determinant +1"
+                "the 3x3 part is no rotation: R Rᵀ is {deviation:.3e} off the identity and the determinant \
+                 is {determinant:.6}; valid is a deviation below {ORTHONORMAL_TOLERANCE:e} and determinant +1"
             ),
         }
     }

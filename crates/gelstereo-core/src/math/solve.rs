@@ -72,10 +72,12 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        /// H z is `right` again, to the rounding of five sums of terms up to 20 times the pivots' least share.
+        /// H z is `right` again, to the rounding of five sums of terms up to 20 times the pivots' least
+        /// share.
         #[test]
         fn a_solution_solves(
-            root in prop::array::uniform5(prop::array::uniform5(-1.0..1.0_f64)), right in prop::array::uniform5(-1.0..1.0_f64),
+            root in prop::array::uniform5(prop::array::uniform5(-1.0..1.0_f64)),
+            right in prop::array::uniform5(-1.0..1.0_f64),
         ) {
             let entry = |i: usize, j: usize| {
                 (0..5).map(|k| root[k][i] * root[k][j]).sum::<f64>() + if i == j { 0.1 } else { 0.0 }

@@ -6,14 +6,15 @@ use super::{ParamsError, check, length, motion, share};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "snake_case"))]
 pub enum Saliency {
-    /// Indented by more than `saliency_mm` (the paper, Eq. 4). It misses shallow contacts and takes the shoulder beside deep
-    /// ones.
+    /// Indented by more than `saliency_mm` (the paper, Eq. 4). It misses shallow contacts and takes the
+    /// shoulder beside deep ones.
     #[default]
     Depth,
-    /// The gel carries pressure there, beyond what the measured noise explains: [`Pressure`](crate::contact::Pressure).
+    /// The gel carries pressure there, beyond what the measured noise explains:
+    /// [`Pressure`](crate::contact::Pressure).
     Pressure,
-    /// By pressure for several decay lengths up to `decay_mm`, and by several shares of the deepest indentation: the
-    /// candidate whose border parts concave from convex gel best:
+    /// By pressure for several decay lengths up to `decay_mm`, and by several shares of the deepest
+    /// indentation: the candidate whose border parts concave from convex gel best:
     /// [`AdaptiveSaliency`](crate::contact::AdaptiveSaliency).
     Adaptive,
 }

@@ -14,6 +14,24 @@ pub enum Polarity {
     Bright,
 }
 
+/// Which channel of a colour image is searched for markers. A grey image is used as it is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "snake_case"))]
+pub enum Channel {
+    /// The one in which the print stands out most from its noise; grey, unless another one is better by a
+    /// quarter.
+    #[default]
+    Auto,
+    /// The weighted sum of all three, as OpenCV's.
+    Grey,
+    /// Red alone.
+    Red,
+    /// Green alone.
+    Green,
+    /// Blue alone.
+    Blue,
+}
+
 /// How the background's brightness is estimated.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "snake_case"))]
@@ -21,8 +39,8 @@ pub enum Background {
     /// Gaussian of `background_kernel_px` (the paper): the slowest stage of all.
     #[default]
     Gaussian,
-    /// Mean over a square of blocks of 8 x 8 px, about `background_kernel_px` wide, one level for each block; smoothed
-    /// to whole grey levels. The fastest.
+    /// Mean over a square of blocks of 8 x 8 px, about `background_kernel_px` wide, one level for each block;
+    /// smoothed to whole grey levels. The fastest.
     Blocks,
 }
 
@@ -33,9 +51,9 @@ pub enum Threshold {
     /// By `threshold_levels` (the paper): markers of less contrast are missed.
     #[default]
     Fixed,
-    /// By about half the contrast of the markers around, but by 5 standard deviations of the image's noise at least;
-    /// components much smaller than the others are dropped. Finds markers of 25 levels of contrast among noise of 2,
-    /// and of 120 among 18, whatever the light.
+    /// By about half the contrast of the markers around, but by 5 standard deviations of the image's noise at
+    /// least; components much smaller than the others are dropped. Finds markers of 25 levels of contrast
+    /// among noise of 2, and of 120 among 18, whatever the light.
     Auto,
 }
 
@@ -48,12 +66,13 @@ pub enum Centre {
     Binary,
     /// Mean position weighted by contrast over the component and its border: about 0.06 px rms.
     Grey,
-    /// Mean position over a square around the marker, weighted by contrast between a fifth and seven tenths of the largest: 0.045 px rms,
-    /// 0.2 µs a marker. Markers that do not lie alone in that square get the `grey` centre.
+    /// Mean position over a square around the marker, weighted by contrast between a fifth and seven tenths
+    /// of the largest: 0.045 px rms, 0.2 µs a marker. Markers that do not lie alone in that square get the
+    /// `grey` centre.
     SoftThreshold,
-    /// Fit of a blurred ellipse in the image's noise and grain: 0.029 px rms, with a covariance for each marker. A step
-    /// with weights computed once an image serves most markers; others get steps of their own. A centroid serves where
-    /// a fit does not converge (beside the border, merged, smeared).
+    /// Fit of a blurred ellipse in the image's noise and grain: 0.029 px rms, with a covariance for each
+    /// marker. A step with weights computed once an image serves most markers; others get steps of their own.
+    /// A centroid serves where a fit does not converge (beside the border, merged, smeared).
     Fit,
 }
 
@@ -64,12 +83,13 @@ pub enum Search {
     /// The whole image (the paper).
     #[default]
     Whole,
-    /// As long as the labels are certain: half a pitch around each marker's predicted position, and around places one pitch
-    /// outside the lattice. The same frame is searched whole when one of those places shows a marker, when many windows
-    /// show none, or when the labels are not certain. With `threshold` = `auto` and `centre` = `soft_threshold` or `fit` nothing else
-    /// of the image is read: light and threshold are each window's own, a frame of 625 markers takes a third to a half of
-    /// the time, and centres differ from those of the whole search by a part of their noise: rms errors agree within 3 %.
-    /// Other rungs take light and threshold from the whole image: same centres, a fifth slower than the whole search.
+    /// With `threshold` = `auto` and `centre` = `soft_threshold` or `fit`, as long as the labels are certain:
+    /// half a pitch around each marker's predicted position, and around places one pitch outside the lattice.
+    /// The same frame is searched whole when one of those places shows a marker, when many windows show none,
+    /// or when the labels are not certain. Nothing else of the image is read: light and threshold are each
+    /// window's own, a frame of 625 markers takes a third to a half of the time, and centres differ from
+    /// those of the whole search by a part of their noise: rms errors agree within 3 %. Markers too large or
+    /// too close for such a window, and other settings, are searched for in the whole image.
     Windows,
 }
 
@@ -80,10 +100,12 @@ pub enum FindAt {
     /// The image's own (the paper).
     #[default]
     FullSize,
-    /// With `centre` = `soft_threshold`, half of it in each direction, means of 2 x 2 pixels, where that shows clearly all there is: markers of
-    /// 24 px² and more, each alone and away from the border, and specks. Same rms errors within 1 %; 625 markers are found in three
-    /// fifths of the instructions at 640 x 480, in half of them at 1280 x 720. Any other image is searched again at its own size, with
-    /// the bits of that search and a fifth more instructions, and so is every image with other rungs of `centre` at no cost.
+    /// With `centre` = `soft_threshold`, half of it in each direction, means of 2 x 2 pixels, where that
+    /// shows clearly all there is: markers of 24 px² and more, each alone and away from the border, and
+    /// specks. Same rms errors within 1 %; 625 markers are found in three fifths of the instructions at 640 x
+    /// 480, in half of them at 1280 x 720. Any other image is searched again at its own size, with the bits
+    /// of that search and a fifth more instructions, and so is every image with other rungs of `centre` at no
+    /// cost.
     HalfSize,
 }
 
@@ -151,6 +173,10 @@ pub struct DetectParams {
     /// Whether markers are darker or brighter than the gel. Default: `dark`. Change it for a gel with bright
     /// dots.
     pub polarity: Polarity,
+    /// Which channel of a colour image is searched. Default: `auto`. Change it to the channel in which the
+    /// print has the most contrast, where the light of coloured LEDs changes with contact. `gelstereo-host`
+    /// decodes grey images only, and accepts `auto` and `grey`.
+    pub channel: Channel,
     /// How the background's brightness is estimated. Default: `gaussian`. Change it to `blocks` to save time.
     pub background: Background,
     /// How a component becomes a centre. Default: `binary`. Change it to trade accuracy for time; see
@@ -200,6 +226,7 @@ impl Default for DetectParams {
     fn default() -> Self {
         Self {
             polarity: Polarity::Dark,
+            channel: Channel::Auto,
             background: Background::Gaussian,
             centre: Centre::Binary,
             search: Search::Whole,

@@ -9,8 +9,8 @@ pub enum LabelMethod {
     /// Foresight sort of every frame (the paper, Algorithm 1): exact to about 5 degrees of lattice rotation.
     #[default]
     Foresight,
-    /// A marker keeps its row and column through its track as long as that is certain: matches agree with their neighbours,
-    /// and the lattice's border tells motions by a whole pitch. Otherwise it is held.
+    /// A marker keeps its row and column through its track as long as that is certain: matches agree with
+    /// their neighbours, and the lattice's border tells motions by a whole pitch. Otherwise it is held.
     Lattice,
 }
 

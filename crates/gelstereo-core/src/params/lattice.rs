@@ -3,7 +3,8 @@
 use super::{ParamsError, check};
 use alloc::vec::Vec;
 
-/// The printed lattice. Its rows and columns are counted in the rest frame; settings of them are only checked.
+/// The printed lattice. Its rows and columns are counted in the rest frame; settings of them are only
+/// checked.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(
     feature = "serde",

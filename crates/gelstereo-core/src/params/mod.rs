@@ -15,7 +15,7 @@ mod triangulate;
 
 pub use contact::{ContactParams, Saliency};
 pub use detect::{
-    Background, Centre, DetectParams, FindAt, FitParams, Polarity, RoiParams, Search, Threshold,
+    Background, Centre, Channel, DetectParams, FindAt, FitParams, Polarity, RoiParams, Search, Threshold,
 };
 pub use label::{LabelMethod, LabelParams};
 pub use lattice::LatticeParams;

@@ -11,11 +11,13 @@ impl Params {
     ///
     /// - `paper`: the paper's pipeline to the letter;
     /// - `fast`: the cheapest rung of every stage that keeps identities safe;
-    /// - `balanced`: what to begin with: as `fast`, with centres by a model fit and the part searched for from many starts;
+    /// - `balanced`: what to begin with: as `fast`, with centres by a model fit and the part searched for
+    ///   from many starts;
     /// - `exact`: the most accurate rung of every stage.
     ///
-    /// All but `paper` derive the threshold from the image, check every identity against the lattice, tolerate a fifth of
-    /// the markers missing, find contacts without knowing the gel's law, and see through the rig's layers.
+    /// All but `paper` derive the threshold from the image, check every identity against the lattice,
+    /// tolerate a fifth of the markers missing, find contacts without knowing the gel's law, and see through
+    /// the rig's layers.
     #[must_use]
     pub fn preset(name: &str) -> Option<Self> {
         match name {
@@ -52,7 +54,8 @@ impl Params {
                 centre: Centre::Fit,
                 search: Search::Windows,
                 centre_sigma_px: 0.04,
-                // 71 x 71 dots in 640 x 480 pixels have pieces of 5; what is a speck beside others the threshold's rung tells.
+                // 71 x 71 dots in 640 x 480 pixels have pieces of 5; what is a speck beside others the
+                // threshold's rung tells.
                 min_area_px2: 4,
                 ..Default::default()
             },

@@ -4,33 +4,38 @@ use super::{ParamsError, check, length, share};
 
 /// How a contact patch is registered to a template.
 ///
-/// The figures are the starts, 5 degrees and 1 mm off, that end within 0.15 mm on a cylinder, two balls and a ridge with
-/// the markers in contact by pressure, and the median time (simulated, noise 2 grey levels; `gelstereo frontier`).
+/// The figures are the starts, 5 degrees and 1 mm off, that end within 0.15 mm on a cylinder, two balls and a
+/// ridge with the markers in contact by pressure, and the median time (simulated, noise 2 grey levels;
+/// `gelstereo frontier`).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "snake_case"))]
 pub enum RegisterMethod {
     /// FilterReg, point to point (the paper): 100 / 100 / 56 %, 11 ms.
     #[default]
     FilterregPoint,
-    /// RANSAC, then point-to-point ICP (the paper's comparison): 100 / 81 / 19 %, 47 ms. It draws points by their number, so
-    /// that another order of points is another seed; for the other rungs it is rounding, or nothing.
+    /// RANSAC, then point-to-point ICP (the paper's comparison): 100 / 81 / 19 %, 47 ms. It draws points by
+    /// their number, so that another order of points is another seed; for the other rungs it is rounding, or
+    /// nothing.
     RansacIcp,
-    /// The exact surface of the part, from one close guess: 95 / 88 / 88 / 57 %, 1.3 times the bound, 0.5 ms. It looks for
-    /// no alternatives: where several poses explain a contact it follows the one that it starts from.
+    /// The exact surface of the part, from one close guess: 95 / 88 / 88 / 57 %, 1.3 times the bound, 0.5 ms.
+    /// It looks for no alternatives: where several poses explain a contact it follows the one that it starts
+    /// from.
     ///
-    /// The surface methods need a template of a mesh with a field of distances. Their figures are contacts found to 2
-    /// degrees and 0.3 mm over the directions that the contact determines, on six parts with shoulder, 0.03 mm along z,
-    /// from guesses up to 5 degrees 1 mm / 10 degrees 2 mm / the same with twice the noise and a tenth of outliers /
-    /// 30 degrees 5 mm off, and the median error over the Cramér-Rao bound (simulated; the example `starts`).
+    /// The surface methods need a template of a mesh with a field of distances. Their figures are contacts
+    /// found to 2 degrees and 0.3 mm over the directions that the contact determines, on six parts with
+    /// shoulder, 0.03 mm along z, from guesses up to 5 degrees 1 mm / 10 degrees 2 mm / the same with twice
+    /// the noise and a tenth of outliers / 30 degrees 5 mm off, and the median error over the Cramér-Rao
+    /// bound (simulated; the example `starts`).
     ///
-    /// They know lengths of a usual gel: how far its shoulder reaches, how far steps may go. Of a sensor that is larger or
-    /// smaller as a whole [`AdvancedRegisterParams::gel_scale`] says by how much; then answers scale with all that is sensed.
+    /// They know lengths of a usual gel: how far its shoulder reaches, how far steps may go. Of a sensor that
+    /// is larger or smaller as a whole [`AdvancedRegisterParams::gel_scale`] says by how much; then answers
+    /// scale with all that is sensed.
     SurfaceClose,
-    /// The exact surface from many starts around the guess, with the markers that nothing presses: 97 / 97 / 97 / 98 %, 1.2
-    /// times the bound, 9 ms; of the bolt alone 85 %, on whose threads a gel finer than the markers hangs as they do not
-    /// show. A row of shoulder beside an edge may pass for the face beyond it; then the error is
-    /// some 0.1 mm, and the covariance does not know. Where several poses explain the contact about as well all are
-    /// returned, with their likelihoods.
+    /// The exact surface from many starts around the guess, with the markers that nothing presses: 97 / 97 /
+    /// 97 / 98 %, 1.2 times the bound, 9 ms; of the bolt alone 85 %, on whose threads a gel finer than the
+    /// markers hangs as they do not show. A row of shoulder beside an edge may pass for the face beyond it;
+    /// then the error is some 0.1 mm, and the covariance does not know. Where several poses explain the
+    /// contact about as well all are returned, with their likelihoods.
     SurfaceSearch,
 }
 
@@ -187,8 +192,8 @@ impl Default for AdvancedRegisterParams {
 /// Most starts: more take longer than anything that waits for them.
 const MAX_STARTS: u32 = 4096;
 
-/// How well a pose was known before a contact: standard deviations, about and along every axis, of a turn about the patch's
-/// centroid and of a shift of it.
+/// How well a pose was known before a contact: standard deviations, about and along every axis, of a turn
+/// about the patch's centroid and of a shift of it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct GuessSigma {

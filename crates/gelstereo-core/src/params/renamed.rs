@@ -44,11 +44,34 @@ pub fn replaced_method(path: &str, method: &str) -> Option<&'static str> {
         .map(|(.., present)| *present)
 }
 
-/// The former name of a setting or method that a parser does not know, by its last part, and what to write now.
+/// The former name of a setting or method that a parser does not know, by its last part, and what to write
+/// now.
 #[must_use]
 pub fn former(name: &str) -> Option<(&'static str, &'static str)> {
     let last = |path: &&str| path.rsplit('.').next() == Some(name);
     let settings = SETTINGS.iter().map(|&(former, present)| (former, present));
     let methods = METHODS.iter().map(|&(_, former, present)| (former, present));
     settings.chain(methods).find(|(former, _)| last(former))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Only whole former names are recognised, not their ends.
+    #[test]
+    fn a_former_name_is_the_whole_last_part() {
+        let names = || {
+            let settings = SETTINGS.iter().map(|(former, _)| former.rsplit('.').next().unwrap_or(former));
+            settings.chain(METHODS.iter().map(|(_, former, _)| *former))
+        };
+        for name in names() {
+            assert!(former(name).is_some(), "{name}");
+            for start in 1..name.len() {
+                let end = &name[start..];
+                assert!(names().any(|name| name == end) || former(end).is_none(), "{end}");
+            }
+        }
+        assert_eq!(former("register.seed"), None, "the parser names the last part alone");
+    }
 }

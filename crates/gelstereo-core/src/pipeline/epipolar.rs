@@ -196,8 +196,9 @@ mod tests {
             .iter()
             .map(|&epipolar_px| StereoPoint { point_mm: DVec3::ZERO, covariance_mm2, epipolar_px })
             .collect();
+        // Across the rows a centre may be as uncertain as it likes.
         let (positions_px, covariance_px2) =
-            ([DVec2::ZERO; MARKERS], [[[STATED_PX2, 0.0], [0.0, STATED_PX2]]; MARKERS]);
+            ([DVec2::ZERO; MARKERS], [[[25.0 * STATED_PX2, 0.0], [0.0, STATED_PX2]]; MARKERS]);
         let centres = Centres { positions_px: &positions_px, covariance_px2: &covariance_px2 };
         Epipolar::learn((SIDE, SIDE), &stereo, state, centres, centres).scale
     }

@@ -81,20 +81,20 @@ impl core::fmt::Display for PipelineError {
             Self::Record(error) => error.fmt(f),
             Self::Lattices { left, right } => write!(
                 f,
-                "the left view shows {} rows x {} columns of markers but the right one {} x {}: both must see the whole \
-                 lattice",
+                "the left view shows {} rows x {} columns of markers but the right one {} x {}: both must \
+                 see the whole lattice",
                 left.0, left.1, right.0, right.1
             ),
             Self::Epipolar { median_px, max_px } => write!(
                 f,
-                "the rows of the two views disagree by {median_px:.2} px in the median; valid is at most {max_px} px: \
-                 the rig does not belong to these cameras, or a row was lost in one view"
+                "the rows of the two views disagree by {median_px:.2} px in the median; valid is at most \
+                 {max_px} px: the rig does not belong to these cameras, or a row was lost in one view"
             ),
             Self::Pitch { found_mm, expected_mm } => write!(
                 f,
-                "the markers stand {found_mm:.3} mm apart in the median, but lattice.pitch_mm is {expected_mm}; valid is \
-                 half to twice what is seen: set lattice.pitch_mm to the print's pitch, or check the rig's baseline and \
-                 focal lengths"
+                "the markers stand {found_mm:.3} mm apart in the median, but lattice.pitch_mm is \
+                 {expected_mm}; valid is half to twice what is seen: set lattice.pitch_mm to the print's \
+                 pitch, or check the rig's baseline and focal lengths"
             ),
         }
     }

@@ -1,6 +1,7 @@
 //! The sensing stages in order, with scratch memory allocated once.
 
 mod bent;
+mod centres;
 mod discs;
 mod epipolar;
 mod error;
@@ -376,11 +377,61 @@ fn centres(tracks: &Tracks) -> Centres<'_> {
     Centres { positions_px: &tracks.positions_px, covariance_px2: &tracks.covariance_px2 }
 }
 
-fn scaled(matrix: &Symmetric<3>, scale: f64) -> Symmetric<3> {
+fn scaled<const N: usize>(matrix: &Symmetric<N>, scale: f64) -> Symmetric<N> {
     matrix.map(|row| row.map(|entry| scale * entry))
 }
 
 fn copy_into<T: Copy>(from: &[T], to: &mut Vec<T>) {
     to.clear();
     to.extend_from_slice(from);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::Camera;
+    use alloc::vec;
+
+    fn pipeline() -> Pipeline {
+        let camera = Camera {
+            width_px: 640,
+            height_px: 480,
+            fx_px: 560.0,
+            fy_px: 560.0,
+            cx_px: 320.0,
+            cy_px: 240.0,
+            distortion: [0.0; 5],
+        };
+        Pipeline::new(&Rig::parallel(camera, 8.0), &Params::default()).unwrap()
+    }
+
+    /// A height is a difference of two frames: its variance is the sum of theirs, along the rest surface's
+    /// normal.
+    #[test]
+    fn a_height_has_the_variances_of_both_frames() {
+        let mut pipeline = pipeline();
+        let points_mm = [DVec3::new(0.0, 0.0, 30.0), DVec3::new(1.0, 0.0, 31.0), DVec3::new(0.0, 1.0, 30.0)];
+        let rest = RestSurface::new(&points_mm).unwrap();
+        let covariance_mm2 = [[4.0, 0.5, 0.1], [0.5, 3.0, 0.2], [0.1, 0.2, 9.0]];
+        let now_mm2 = contact::variance_along(&covariance_mm2, rest.normal());
+        pipeline.rest = Some(rest);
+        pipeline.covariance_mm2 = vec![covariance_mm2; 3];
+        pipeline.rest_variance_mm2 = vec![1.0, 2.0, 8.0];
+        pipeline.judge_heights(&[MarkerState::Seen; 3]);
+        assert_eq!(pipeline.heights.variance_mm2, [now_mm2 + 1.0, now_mm2 + 2.0, now_mm2 + 8.0]);
+    }
+
+    /// The noise of one gel goes into its record, and is not the next one's.
+    #[test]
+    fn measured_noise_is_recorded_and_forgotten() {
+        let mut pipeline = pipeline();
+        let points_mm = [DVec3::ZERO, DVec3::X, DVec3::Y];
+        pipeline.rest = Some(RestSurface::new(&points_mm).unwrap());
+        pipeline.epipolar = Epipolar::resume((1, 3), 2.5, None);
+        assert_eq!(pipeline.noise_scale(), 2.5);
+        assert_eq!(pipeline.rest_record().map(|record| record.noise_scale), Some(2.5));
+        pipeline.reset();
+        assert_eq!(pipeline.noise_scale(), 1.0);
+        assert_eq!(pipeline.rest_record(), None);
+    }
 }

@@ -47,9 +47,9 @@ impl fmt::Display for PitchCheck {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(
             f,
-            "the markers are {:.4} ± {:.4} mm apart at rest, but lattice.pitch_mm is {}: lengths would be wrong by {:+.1} \
-             %. Check lattice.pitch_mm, the size of the chessboard's squares, the baseline, and the layers before the \
-             gel",
+            "the markers are {:.4} ± {:.4} mm apart at rest, but lattice.pitch_mm is {}: lengths would be \
+             wrong by {:+.1} %. Check lattice.pitch_mm, the size of the chessboard's squares, the baseline, \
+             and the layers before the gel",
             self.measured_mm,
             self.sigma_mm,
             self.expected_mm,

@@ -109,24 +109,28 @@ impl core::fmt::Display for RestRecordError {
             }
             Self::Length { list, found, expected } => write!(
                 f,
-                "the rest record's {list} has {found} entries but the lattice {expected} markers: the file is damaged"
+                "the rest record's {list} has {found} entries but the lattice {expected} markers: the file \
+                is damaged"
             ),
             Self::Value { list, index } => write!(
                 f,
-                "the rest record's {list} is not finite, or negative where it may not be, at marker {index}: the file is \
-                 damaged"
+                "the rest record's {list} is not finite, or negative where it may not be, at marker {index}: \
+                 the file is damaged"
             ),
             Self::Pitch { view, pitch_px } => write!(
                 f,
-                "the rest record's pitch in the {view} view is {pitch_px} px; valid is 1 px to the image's width"
+                "the rest record's pitch in the {view} view is {pitch_px} px; valid is 1 px to the image's \
+                width"
             ),
             Self::Rig => write!(
                 f,
-                "the rest record was made with another rig: use that one, or record a rest frame with this one"
+                "the rest record was made with another rig: use that one, or record a rest frame with this \
+                one"
             ),
             Self::Settings { table } => write!(
                 f,
-                "the rest record was made with other settings of [{table}]: use those, or record a rest frame with these"
+                "the rest record was made with other settings of [{table}]: use those, or record a rest \
+                frame with these"
             ),
         }
     }

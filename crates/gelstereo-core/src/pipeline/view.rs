@@ -103,8 +103,7 @@ impl ViewStages {
             LabelMethod::Foresight => tracks.positions_px.as_slice(),
         };
         let lattice = LatticeScale { cols: self.cols, pitch_px: self.pitch_px };
-        // A failure here also occurs on the whole image, which then reports it.
-        if !windows.look(detector, image, predicted_px, lattice, tracks).unwrap_or(false) {
+        if !windows.look(detector, image, predicted_px, lattice, tracks) {
             return false;
         }
         match params.label.method {
@@ -125,9 +124,6 @@ impl ViewStages {
             let size_px = (image.width(), image.height());
             let lattice = LatticeScale { cols: self.cols, pitch_px: self.pitch_px };
             windows.begin(detector, size_px, lattice, markers, tracks);
-            if windows.marker_size.is_none() {
-                self.detect_in_windows(image, params);
-            }
         }
     }
 
@@ -197,7 +193,8 @@ impl ViewStages {
     fn restart(&mut self, params: &Params) {
         let detection = (0..).zip(&self.shown).map(|(n, &shown)| shown.then_some(n)).collect();
         let (rows, cols, pitch_px) = (self.rows, self.cols, self.pitch_px);
-        let rest = RestLattice { rows, cols, positions_px: self.rest_px.clone(), detection, pitch_px };
+        let positions_px = self.rest_px.clone();
+        let rest = RestLattice { rows, cols, positions_px, detection, pitch_px, left_out: [0; 4] };
         // Present positions are known to the gate at best.
         let markers = Markers::at(self.rest_px.clone(), params.track.gate_pitches * pitch_px);
         let most = max_markers(&params.detect, self.size_px);

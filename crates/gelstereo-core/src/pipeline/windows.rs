@@ -1,7 +1,7 @@
 //! Detection in windows around predicted positions (`detect.search = windows`).
 
 use crate::detect::MarkerSize;
-use crate::detect::{DetectError, Detector, Markers};
+use crate::detect::{Detector, Markers};
 use crate::detect::{Found, WindowObservation};
 use crate::image::GrayView;
 use crate::math::DVec2;
@@ -38,8 +38,9 @@ pub(super) struct Windows {
     /// Markers row by row, then sentinels.
     places_px: Vec<DVec2>,
     pub found: Found,
-    /// Appearance of the markers, if it suffices to threshold each window locally.
-    pub marker_size: Option<MarkerSize>,
+    /// Appearance of the markers, if it suffices to threshold each window locally. Otherwise whole images are
+    /// searched.
+    marker_size: Option<MarkerSize>,
     /// The tracks of this frame, valid only when they are certain.
     pub tracks: Tracks,
 }
@@ -66,10 +67,7 @@ impl Windows {
     }
 
     /// Searches around the predicted positions, row by row; returns whether the observations are as
-    /// expected. No allocation after the first frame of a lattice.
-    ///
-    /// # Errors
-    /// [`DetectError`].
+    /// expected. Never so if these markers do not suit windows.
     pub fn look(
         &mut self,
         detector: &mut Detector,
@@ -77,20 +75,16 @@ impl Windows {
         predicted_px: &[DVec2],
         lattice: LatticeScale,
         tracks: &Tracks,
-    ) -> Result<bool, DetectError> {
+    ) -> bool {
+        let Some(marker_size) = &self.marker_size else { return false };
         let LatticeScale { cols, pitch_px } = lattice;
         self.places_px.clear();
         self.places_px.extend_from_slice(predicted_px);
         add_sentinels(predicted_px, cols, &mut self.places_px);
         let reach_px = REACH_PITCHES * pitch_px;
-        match &self.marker_size {
-            Some(marker_size) => {
-                detector.run_windows(image, &self.places_px, reach_px, marker_size, &mut self.found)
-            }
-            None => detector.run_near(image, &self.places_px, reach_px, &mut self.found)?,
-        }
+        detector.run_windows(image, &self.places_px, reach_px, marker_size, &mut self.found);
         self.tracks.clone_from(tracks);
-        Ok(self.is_as_expected(tracks, cols, reach_px, (image.width(), image.height())))
+        self.is_as_expected(tracks, cols, reach_px, (image.width(), image.height()))
     }
 
     fn is_as_expected(

@@ -54,7 +54,8 @@ impl core::fmt::Display for TemplateBytesError {
             Self::Version { found } => {
                 write!(
                     f,
-                    "the template is of version {found}; valid is {VERSION}: make it again from the part's mesh"
+                    "the template is of version {found}; valid is {VERSION}: make it again from the part's \
+                    mesh"
                 )
             }
             Self::Damaged { byte } => write!(

@@ -60,8 +60,8 @@ impl core::fmt::Display for TemplateError {
             }
             Self::TooMany { found, spacing_mm } => write!(
                 f,
-                "a spacing of {spacing_mm} mm gives {found:.0} template points; at most {MAX_POINTS} are held: \
-                 increase the spacing, or check the units of the part (millimetres)"
+                "a spacing of {spacing_mm} mm gives {found:.0} template points; at most {MAX_POINTS} are \
+                 held: increase the spacing, or check the units of the part (millimetres)"
             ),
             Self::Lengths { points, normals } => {
                 write!(f, "{points} points but {normals} normals; every point needs one normal")
@@ -77,8 +77,8 @@ impl core::fmt::Display for TemplateError {
             Self::Stopped => Stopped.fmt(f),
             Self::Spacing { found_mm, extent_mm } => write!(
                 f,
-                "the spacing is {found_mm} mm for points that extend over {extent_mm} mm; valid is a positive \
-                 spacing from {:e} times the extent to the extent itself (are both in millimetres?)",
+                "the spacing is {found_mm} mm for points that extend over {extent_mm} mm; valid is a \
+                 positive spacing from {:e} times the extent to the extent itself (are both in millimetres?)",
                 super::limits::MIN_SPACING
             ),
         }
@@ -190,7 +190,8 @@ impl core::fmt::Display for RegisterError {
             Self::Stopped => Stopped.fmt(f),
             Self::TooFewPoints { found, min_points } => write!(
                 f,
-                "{found} salient points; at least {min_points} are needed: press harder, or lower contact.saliency_mm"
+                "{found} salient points; at least {min_points} are needed: press harder, or lower \
+                contact.saliency_mm"
             ),
             Self::PointNotFinite { index } => write!(
                 f,
@@ -203,27 +204,28 @@ impl core::fmt::Display for RegisterError {
             ),
             Self::NoSurface => write!(
                 f,
-                "the template has no surface with a grid of distances; make it from a mesh, give a scan its surface \
-                 (Template::with_surfels), or choose another register.method"
+                "the template has no surface with a grid of distances; make it from a mesh, give a scan its \
+                 surface (Template::with_surfels), or choose another register.method"
             ),
             Self::MarkerNotFinite { index } => write!(
                 f,
-                "marker {index} of those not pressed is NaN, infinite or beyond {REACH_MM:e} mm; leave lost markers out"
+                "marker {index} of those not pressed is NaN, infinite or beyond {REACH_MM:e} mm; leave lost \
+                markers out"
             ),
             Self::NotAmong { missing, points, index, all } => write!(
                 f,
-                "{missing} of {points} salient points are not among the {all} markers, the first of them point {index}; give \
-                 all markers of the same frame, the salient ones among them and unchanged (not rounded, filtered or \
-                 transformed), or leave them out"
+                "{missing} of {points} salient points are not among the {all} markers, the first of them \
+                 point {index}; give all markers of the same frame, the salient ones among them and \
+                 unchanged (not rounded, filtered or transformed), or leave them out"
             ),
             Self::PressDirection => {
                 write!(f, "the press direction is no unit vector; give the way from the part into the gel")
             }
             Self::PatchAside { angle_deg, max_deg, press_direction: [x, y, z] } => write!(
                 f,
-                "the patch's normal is {angle_deg:.0} degrees from the way of the press, ({x:.2}, {y:.2}, {z:.2}); valid is \
-                 up to {max_deg:.0}: hand over press_direction, the way from the part into the gel, if the part was not \
-                 pressed toward the camera, or check the frame of the points"
+                "the patch's normal is {angle_deg:.0} degrees from the way of the press, ({x:.2}, {y:.2}, \
+                 {z:.2}); valid is up to {max_deg:.0}: hand over press_direction, the way from the part into \
+                 the gel, if the part was not pressed toward the camera, or check the frame of the points"
             ),
             Self::Decay { found_mm } => {
                 write!(
@@ -239,13 +241,13 @@ impl core::fmt::Display for RegisterError {
             }
             Self::BadCovariance { index } => write!(
                 f,
-                "the covariance of point {index} is not finite, is zero, or has a negative eigenvalue; give mm², positive \
-                 semidefinite"
+                "the covariance of point {index} is not finite, is zero, or has a negative eigenvalue; give \
+                 mm², positive semidefinite"
             ),
             Self::OutOfReach { within, min_points, nearest_mm, reach_mm } => write!(
                 f,
-                "{within} salient points lie within {reach_mm} mm of the template, {min_points} are needed; the nearest \
-                 is {nearest_mm:.3} mm away: give a better guess, or check frames and units"
+                "{within} salient points lie within {reach_mm} mm of the template, {min_points} are needed; \
+                 the nearest is {nearest_mm:.3} mm away: give a better guess, or check frames and units"
             ),
         }
     }

@@ -99,21 +99,21 @@ impl core::fmt::Display for FusionError {
             }
             Self::Information { index } => write!(
                 f,
-                "the information of estimate {index} is not symmetric and positive semidefinite; give the inverse of a \
-                 covariance, or a registration's information"
+                "the information of estimate {index} is not symmetric and positive semidefinite; give the \
+                 inverse of a covariance, or a registration's information"
             ),
             Self::Plane { name, found, valid } => {
                 write!(f, "{name} of the plane contact is {found}; valid is {valid}")
             }
             Self::Apart { turn_rad } => write!(
                 f,
-                "the poses differ by {turn_rad:.3} rad; valid is up to {MAX_TURN_RAD} rad: are they of one part, and of \
-                 the same one of its symmetric copies?"
+                "the poses differ by {turn_rad:.3} rad; valid is up to {MAX_TURN_RAD} rad: are they of one \
+                 part, and of the same one of its symmetric copies?"
             ),
             Self::NotConverged { step_rad, step_mm } => write!(
                 f,
-                "fusion did not come to rest in {MAX_STEPS} steps (the last one: {step_rad:.1e} rad, {step_mm:.1e} mm); \
-                 the estimates contradict each other: are they of one part?"
+                "fusion did not come to rest in {MAX_STEPS} steps (the last one: {step_rad:.1e} rad, \
+                 {step_mm:.1e} mm); the estimates contradict each other: are they of one part?"
             ),
         }
     }

@@ -46,9 +46,9 @@ pub struct Located {
 ///
 /// If the gel model explained the contact in which the part was found, a pose is accepted while its
 /// [`Misfit`] is typical: as at earlier accepted poses and, at first, as expected from noise and
-/// `register.advanced.outlier_share`. For independent markers a correct pose at its optimum would be rejected once
-/// in a million frames. This detects a part that was rotated while out of contact, if the gel shows it; a
-/// rotation with the same gel shape is undetectable.
+/// `register.advanced.outlier_share`. For independent markers a correct pose at its optimum would be rejected
+/// once in a million frames. This detects a part that was rotated while out of contact, if the gel shows it;
+/// a rotation with the same gel shape is undetectable.
 ///
 /// Otherwise (not all markers given, or a gel that returns to rest within a pitch) a pose is accepted
 /// while [`Registration::log_odds`] is above 0, even odds. After a rejection the part is searched with

@@ -24,8 +24,8 @@ pub struct Registration {
     pub observability: Observability,
     /// Prior accuracy of the pose: `register.start_sigma_deg` and `register.start_sigma_mm`.
     pub guess_sigma: GuessSigma,
-    /// Whether the steps fell below `register.advanced.step_tolerance` before the iterations, or the budget, ran
-    /// out. Otherwise the covariance includes the remaining step, in every direction.
+    /// Whether the steps fell below `register.advanced.step_tolerance` before the iterations, or the budget,
+    /// ran out. Otherwise the covariance includes the remaining step, in every direction.
     pub converged: bool,
     /// Iterations of the last stage.
     pub iterations: u32,
@@ -71,9 +71,9 @@ impl Registration {
     ///
     /// It assumes that points touch the faces on which the pose puts them. `surface_search` uses the gel
     /// model and omits markers whose contact is uncertain. `surface_close` adds the uncertainty of which
-    /// salient points are in contact, but cannot detect a row of the gel's shoulder mistaken for a face. There, and at a wrong thread or edge, errors exceed the covariance. The rungs
-    /// on samples scale it by the excess of their residuals over the noise. Actual errors are measured in
-    /// `docs/localization.md`.
+    /// salient points are in contact, but cannot detect a row of the gel's shoulder mistaken for a face.
+    /// There, and at a wrong thread or edge, errors exceed the covariance. The rungs on samples scale it by
+    /// the excess of their residuals over the noise. Actual errors are measured in `docs/localization.md`.
     #[must_use]
     pub fn covariance(&self) -> Symmetric<6> {
         self.observability.covariance(&self.guess_sigma)

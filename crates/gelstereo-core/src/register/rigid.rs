@@ -49,7 +49,8 @@ impl core::fmt::Display for RigidFitError {
             Self::Empty => write!(f, "no points to align; a rigid fit needs at least one pair"),
             Self::Lengths { source, target, weights } => write!(
                 f,
-                "{source} source points, {target} target points and {weights} weights; they must be equally many"
+                "{source} source points, {target} target points and {weights} weights; they must be equally \
+                many"
             ),
             Self::NotFinite { index } => {
                 write!(f, "pair {index} has a coordinate that is NaN, infinite or beyond 1e150; remove it")

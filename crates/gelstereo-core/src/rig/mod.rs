@@ -59,18 +59,18 @@ impl core::fmt::Display for RigError {
             Self::Layers(error) => error.fmt(f),
             Self::RightCameraInLayers { gap_mm } => write!(
                 f,
-                "the right camera is {gap_mm} mm before the first interface; valid is 0 or more: check layers.normal and \
-                 layers.gap_mm, which is the left camera's distance"
+                "the right camera is {gap_mm} mm before the first interface; valid is 0 or more: check \
+                 layers.normal and layers.gap_mm, which is the left camera's distance"
             ),
             Self::NoBaseline { baseline_mm } => write!(
                 f,
-                "the cameras are {baseline_mm:e} mm apart; valid is {MIN_BASELINE_MM:e} to {MAX_BASELINE_MM:e} mm (is \
-                 t_right_left in millimetres?)"
+                "the cameras are {baseline_mm:e} mm apart; valid is {MIN_BASELINE_MM:e} to \
+                 {MAX_BASELINE_MM:e} mm (is t_right_left in millimetres?)"
             ),
             Self::NotSideBySide { right_camera_mm: c } => write!(
                 f,
-                "the right camera stands at ({:.3}, {:.3}, {:.3}) mm in the left camera's frame; it must stand \
-                 mainly towards +x (are the views swapped?)",
+                "the right camera stands at ({:.3}, {:.3}, {:.3}) mm in the left camera's frame; it must \
+                 stand mainly towards +x (are the views swapped?)",
                 c.x, c.y, c.z
             ),
         }

@@ -186,6 +186,27 @@ fn insert<const K: usize>(best: &mut [(f64, u32); K], squared: f64, index: u32) 
 mod tests {
     use super::*;
     use crate::math::random::Stream;
+    use proptest::prelude::*;
+
+    proptest! {
+        /// Of points as near as each other the first one, whichever bucket it is in.
+        #[test]
+        fn the_nearest_is_that_of_a_search_through_all(
+            places in prop::collection::vec((0..7_i32, 0..7_i32, any::<bool>()), 1..60),
+            at in (-2..16_i32, -2..16_i32), side in 0.3..5.0_f64, radius in 0.2..6.0_f64,
+        ) {
+            let points: Vec<DVec2> =
+                places.iter().map(|&(x, y, _)| DVec2::new(f64::from(x), f64::from(y))).collect();
+            // Half way between the points as well.
+            let target = DVec2::new(f64::from(at.0), f64::from(at.1)) * 0.5;
+            let mut grid = Grid::default();
+            grid.build(&points, side);
+            let squared = |n: usize| points[n].distance_squared(target);
+            let reached = (0..points.len()).filter(|&n| places[n].2 && squared(n) < radius * radius);
+            let expected = reached.min_by(|&a, &b| squared(a).total_cmp(&squared(b)).then(a.cmp(&b)));
+            prop_assert_eq!(grid.nearest(&points, target, radius, |n| places[n].2), expected);
+        }
+    }
 
     #[test]
     fn the_nearest_are_those_of_a_search_through_all() {

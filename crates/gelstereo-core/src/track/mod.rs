@@ -1,5 +1,6 @@
 //! Tracks markers from frame to frame (Eq. 1 and 2).
 
+mod agreement;
 mod extended_lattice;
 mod interpolate;
 mod matching;

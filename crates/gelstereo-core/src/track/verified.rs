@@ -1,8 +1,9 @@
 //! Tracking with verified identity: labels are correct or not reported.
 
+use super::agreement::Before;
 use super::extended_lattice::{ExtendedLattice, NONE};
 use super::interpolate::Interpolator;
-use super::matching::{Before, Matching};
+use super::matching::Matching;
 use super::pitch_shift::{self, Expectation, PitchShift};
 use super::relabel::Relabel;
 use super::window_detections::WindowDetections;

@@ -80,15 +80,15 @@ impl core::fmt::Display for TriangulateError {
             }
             Self::Covariance { index, view } => write!(
                 f,
-                "marker {index}, {view} view: the centre's covariance is not positive definite; valid are finite \
-                 variances above 0 and a correlation between -1 and 1"
+                "marker {index}, {view} view: the centre's covariance is not positive definite; valid are \
+                 finite variances above 0 and a correlation between -1 and 1"
             ),
             Self::Ray { index, view, error } => write!(f, "marker {index}, {view} view: {error}"),
             Self::Disparity { index, disparity_px, min_px, affected, of } => {
                 write!(
                     f,
-                    "marker {index} has a disparity (x_left - x_right) of {disparity_px:.3e} px; valid is at least \
-                     {min_px} px; {affected} of {of} markers have this fault"
+                    "marker {index} has a disparity (x_left - x_right) of {disparity_px:.3e} px; valid is at \
+                     least {min_px} px; {affected} of {of} markers have this fault"
                 )?;
                 if affected == of && *disparity_px < 0.0 {
                     write!(f, ": the left and right views are swapped")?;
@@ -97,13 +97,13 @@ impl core::fmt::Display for TriangulateError {
             }
             Self::Unknown { index } => write!(
                 f,
-                "marker {index}: the rig tells the point in some direction no better than round-off; its baseline, a \
-                 focal length, a layer or a centre's covariance is beyond any sensor's"
+                "marker {index}: the rig tells the point in some direction no better than round-off; its \
+                 baseline, a focal length, a layer or a centre's covariance is beyond any sensor's"
             ),
             Self::NoPoint { index } => write!(
                 f,
-                "marker {index}: the rays of its two pixels are too far apart to be one marker; check that both \
-                 centres belong to it, and the rig to these cameras"
+                "marker {index}: the rays of its two pixels are too far apart to be one marker; check that \
+                 both centres belong to it, and the rig to these cameras"
             ),
         }
     }

@@ -115,8 +115,8 @@ pub struct Contact {
 }
 
 impl Contact {
-    /// Presses a shape, turned as `turn` says, `depth_mm` into the gel about (4, 0) mm. Markers on a 25 x 25 lattice
-    /// move along z onto the shape; those moved by more than the saliency are the patch.
+    /// Presses a shape, turned as `turn` says, `depth_mm` into the gel about (4, 0) mm. Markers on a 25 x 25
+    /// lattice move along z onto the shape; those moved by more than the saliency are the patch.
     pub fn press(shape: &Shape, turn: Pose, depth_mm: f64, noise_mm: f64, random: &mut Stream) -> Self {
         let shift = DVec3::new(4.0 + random.uniform() - 0.5, random.uniform() - 0.5, 0.0);
         let mut t_sensor_object = Pose::from_translation_mm(shift) * turn;
@@ -137,7 +137,8 @@ impl Contact {
         contact
     }
 
-    /// The truth turned by `angle_rad` about the patch's centroid and shifted by `shift_mm`, both in random directions.
+    /// The truth turned by `angle_rad` about the patch's centroid and shifted by `shift_mm`, both in random
+    /// directions.
     pub fn guess(&self, angle_rad: f64, shift_mm: f64, random: &mut Stream) -> Pose {
         let mut unit = || DVec3::new(random.normal(), random.normal(), random.normal()).normalize();
         let (axis, direction) = (unit(), unit());
@@ -146,8 +147,8 @@ impl Contact {
         motion * self.t_sensor_object
     }
 
-    /// Information of the patch at the truth, about its centroid: the Cramér-Rao bound for points that are known to
-    /// `sigma_mm` along exact normals.
+    /// Information of the patch at the truth, about its centroid: the Cramér-Rao bound for points that are
+    /// known to `sigma_mm` along exact normals.
     pub fn bound(&self, sigma_mm: f64) -> Symmetric<6> {
         let c = centroid(&self.points_mm);
         let mut sum = [[0.0; 6]; 6];

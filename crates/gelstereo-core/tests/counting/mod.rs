@@ -1,5 +1,5 @@
-//! An allocator that counts what each thread asks for: neither other tests nor the harness, which prints when a test is slow,
-//! change a count.
+//! An allocator that counts what each thread asks for: neither other tests nor the harness, which prints when
+//! a test is slow, change a count.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
@@ -9,7 +9,8 @@ struct Counting;
 thread_local! {
     /// Allocations of this thread so far.
     pub static ALLOCATIONS: Cell<usize> = const { Cell::new(0) };
-    /// Bytes that it asked for, less those that it gave back: below 0 where another thread had asked for them.
+    /// Bytes that it asked for, less those that it gave back: below 0 where another thread had asked for
+    /// them.
     pub static HELD: Cell<isize> = const { Cell::new(0) };
     /// Most of them since this was last set.
     pub static PEAK: Cell<isize> = const { Cell::new(0) };

@@ -2,7 +2,7 @@
 #![allow(dead_code, reason = "each test crate uses its own part of this")]
 use crate::support::lattice;
 use gelstereo_core::detect::Markers;
-use gelstereo_core::lattice::{Anchor, FoundLattice, Place};
+use gelstereo_core::lattice::{Anchor, FoundLattice, Place, RestLattice};
 use gelstereo_core::math::DVec2;
 use gelstereo_core::math::random::Stream;
 
@@ -172,5 +172,27 @@ impl Scene {
             truth.is_some() && place.is_some_and(|p| anchor.label(p, self.rows, self.cols) != **truth)
         };
         found.places.iter().zip(&self.labels).filter(wrong).count()
+    }
+
+    /// Whether a rest lattice is a rectangle of this one, in one of the four turns: every detected marker
+    /// within half a pitch of the one with its label.
+    pub fn is_part(&self, rest: &RestLattice) -> bool {
+        (0..4).any(|turns| {
+            let rest = rest.turned(turns);
+            let detected = || (0..rest.detection.len()).filter(|&n| rest.detection[n].is_some());
+            let Some(first) = detected().next() else { return false };
+            let off = |n: usize| rest.positions_px[first].distance_squared(self.truth[n]);
+            let Some(label) = (0..self.truth.len()).min_by(|&a, &b| off(a).total_cmp(&off(b))) else {
+                return false;
+            };
+            let (top, left) = (first / rest.cols, first % rest.cols);
+            let near = |n: usize| {
+                let (row, col) = (label / self.cols + n / rest.cols - top, label % self.cols + n % rest.cols);
+                let (Some(col), true) = (col.checked_sub(left), row < self.rows) else { return false };
+                col < self.cols
+                    && rest.positions_px[n].distance(self.truth[row * self.cols + col]) < 0.5 * PITCH
+            };
+            detected().all(near)
+        })
     }
 }

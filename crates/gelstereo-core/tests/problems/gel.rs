@@ -1,4 +1,5 @@
-//! A part pressed into a plane of gel: an obstacle under a Pasternak foundation (springs joined by a shear layer).
+//! A part pressed into a plane of gel: an obstacle under a Pasternak foundation (springs joined by a shear
+//! layer).
 
 use super::parts::Part;
 use super::{PITCH_MM, REST_MM, SIDE};
@@ -15,8 +16,8 @@ const STEP_MM: f64 = PITCH_MM / FINE as f64;
 
 /// Where the part is above the rest plane, and what the gel does about it.
 pub struct Gel {
-    /// Height of the part over the rest plane toward the camera, and the outward normal there (sensor frame); negative
-    /// infinity where there is no part.
+    /// Height of the part over the rest plane toward the camera, and the outward normal there (sensor frame);
+    /// negative infinity where there is no part.
     obstacle: Vec<(f64, DVec3)>,
     settled: Vec<f64>,
 }

@@ -1,5 +1,5 @@
-//! Registration problems of which everything is known: parts pressed into gel, sensed with noise, and the bound on
-//! what any method can find.
+//! Registration problems of which everything is known: parts pressed into gel, sensed with noise, and the
+//! bound on what any method can find.
 #![allow(dead_code, reason = "each user has its own part of this")]
 
 pub mod follow;
@@ -22,7 +22,8 @@ pub const PITCH_MM: f64 = 0.9;
 pub const SIDE: usize = 25;
 /// Indentation from which a marker is salient.
 pub const SALIENCY_MM: f64 = 0.35;
-/// A direction counts as observable when the bound knows it to this, rotations in millimetres at the patch's radius.
+/// A direction counts as observable when the bound knows it to this, rotations in millimetres at the patch's
+/// radius.
 pub const OBSERVABLE_MM: f64 = 0.06;
 
 /// How well the sensor senses.
@@ -120,8 +121,8 @@ impl Problem {
         about * Pose::exp(axis * angle_rad, direction * shift_mm) * about.inverse() * self.t_sensor_object
     }
 
-    /// Cramér-Rao: information about (ρ ω, v) about the centroid of the points that truly touch, their true normals
-    /// and their noise known.
+    /// Cramér-Rao: information about (ρ ω, v) about the centroid of the points that truly touch, their true
+    /// normals and their noise known.
     pub fn bound(&self) -> Symmetric<6> {
         let mut sum = [[0.0; 6]; 6];
         for ((&x, c), normal) in self.points_mm.iter().zip(&self.covariance_mm2).zip(&self.normals) {
@@ -182,7 +183,8 @@ impl Score {
     }
 }
 
-/// The long axis across the gel, the tip within 4 mm of the middle, a face or any side down, 0.8 to 1.4 mm deep.
+/// The long axis across the gel, the tip within 4 mm of the middle, a face or any side down, 0.8 to 1.4 mm
+/// deep.
 fn place(part: &Part, random: &mut Stream) -> Pose {
     let turn = |axis: DVec3, angle: f64| Pose::exp(axis * angle, DVec3::ZERO);
     let mut between = |low: f64, high: f64| low + (high - low) * random.uniform();

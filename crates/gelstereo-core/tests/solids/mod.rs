@@ -35,8 +35,8 @@ pub fn block(low: DVec3, high: DVec3, n: usize) -> (Vec<DVec3>, Vec<[u32; 3]>) {
     (vertices, triangles)
 }
 
-/// A body around the origin whose surface has a different distance from it in every direction: `radius(direction, k)`
-/// of the k-th vertex of a finely divided cube. It never crosses itself.
+/// A body around the origin whose surface has a different distance from it in every direction:
+/// `radius(direction, k)` of the k-th vertex of a finely divided cube. It never crosses itself.
 pub fn star(n: usize, mut radius: impl FnMut(DVec3, usize) -> f64) -> (Vec<DVec3>, Vec<[u32; 3]>) {
     let (mut vertices, triangles) = block(DVec3::splat(-1.0), DVec3::splat(1.0), n);
     // The same place in two faces of the cube has to get the same radius.
@@ -52,8 +52,8 @@ pub fn star(n: usize, mut radius: impl FnMut(DVec3, usize) -> f64) -> (Vec<DVec3
     (vertices, triangles)
 }
 
-/// Squared distance of a point to a triangle, by barycentric coordinates and three segments. One edge is made perpendicular
-/// to the other: the determinant of their products would lose the height of a sliver squared.
+/// Squared distance of a point to a triangle, by barycentric coordinates and three segments. One edge is made
+/// perpendicular to the other: the determinant of their products would lose the height of a sliver squared.
 pub fn squared_distance(p: DVec3, [a, b, c]: [DVec3; 3]) -> f64 {
     let (along, ap) = (b - a, p - a);
     let share = |v: DVec3| v.dot(along) / along.length_squared();
@@ -75,7 +75,8 @@ pub fn distance(p: DVec3, mesh: &TriangleMesh) -> f64 {
     least.sqrt()
 }
 
-/// How often the surface winds around a point: 1 inside, 0 outside (solid angles of van Oosterom and Strackee 1983).
+/// How often the surface winds around a point: 1 inside, 0 outside (solid angles of van Oosterom and Strackee
+/// 1983).
 pub fn winding(p: DVec3, mesh: &TriangleMesh) -> f64 {
     let angles = mesh.corners().map(|corners| {
         let [a, b, c] = corners.map(|v| v - p);

@@ -1,6 +1,7 @@
 //! Synthetic dots of which everything is known.
 #![allow(dead_code, reason = "each test crate uses its own part of this")]
 
+pub mod poses;
 pub mod sequence;
 
 use gelstereo_core::image::GrayView;
@@ -48,7 +49,8 @@ impl Dots {
         coverage.iter().map(|share| self.ground + self.contrast * share.min(1.0)).collect()
     }
 
-    /// Area coverage by 16 x 16 samples a pixel: an edge is right to 1/256 of the contrast, a centre to 1e-3 px.
+    /// Area coverage by 16 x 16 samples a pixel: an edge is right to 1/256 of the contrast, a centre to 1e-3
+    /// px.
     pub fn render(&self) -> Vec<u8> {
         let mut coverage = vec![0.0_f64; self.width * self.height];
         for &centre in &self.centres_px {
@@ -86,7 +88,8 @@ impl Dots {
     }
 }
 
-/// A lattice about `centre`, row by row: steps of `pitch_px` turned clockwise as seen (y down) and then sheared in x by y.
+/// A lattice about `centre`, row by row: steps of `pitch_px` turned clockwise as seen (y down) and then
+/// sheared in x by y.
 pub fn lattice(
     rows: usize,
     cols: usize,
@@ -110,8 +113,8 @@ pub fn paper_lattice() -> Vec<DVec2> {
     lattice(25, 25, 17.56, DVec2::new(330.3, 240.7), 0.0, 0.0)
 }
 
-/// Image of 160 x 120 and positions in it: a marker; gel where one is gone, and beyond the lattice; two markers that touch, one
-/// that the border cuts, and three places outside the image.
+/// Image of 160 x 120 and positions in it: a marker; gel where one is gone, and beyond the lattice; two
+/// markers that touch, one that the border cuts, and three places outside the image.
 pub fn one_marker_and_what_is_none() -> (Vec<u8>, [DVec2; 8]) {
     let mut centres = lattice(5, 7, 17.0, DVec2::new(80.2, 60.1), 0.0, 0.0);
     let gone = centres.remove(17);
@@ -128,7 +131,8 @@ pub fn view(bytes: &[u8], width: usize) -> GrayView<'_> {
     GrayView::new(bytes, width, bytes.len() / width, width).unwrap()
 }
 
-/// Root mean square distance from each centre to the nearest truth, and how many truths were found within a pixel.
+/// Root mean square distance from each centre to the nearest truth, and how many truths were found within a
+/// pixel.
 pub fn errors(found: &[DVec2], truth: &[DVec2]) -> (f64, usize) {
     let nearest = |t: &DVec2| found.iter().map(|f| f.distance(*t)).fold(f64::INFINITY, f64::min);
     let near: Vec<f64> = truth.iter().map(nearest).filter(|&d| d < 1.0).collect();

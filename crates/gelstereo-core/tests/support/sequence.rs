@@ -22,8 +22,8 @@ pub struct Warp {
     pub contact_px: DVec2,
     /// 1/e radius of what the contact does.
     pub radius_px: f64,
-    /// A press brings the surface nearer, so that it looks larger: displacement away from the principal point, per
-    /// pixel from it. 2 mm at 28 mm are 0.077.
+    /// A press brings the surface nearer, so that it looks larger: displacement away from the principal
+    /// point, per pixel from it. 2 mm at 28 mm are 0.077.
     pub press: f64,
     /// Motion of the contact, pixels.
     pub shear_px: DVec2,
@@ -154,6 +154,7 @@ impl Run {
             positions_px: rest_px.clone(),
             detection: (0..MARKERS).map(|n| (!unprinted.contains(&n)).then_some(n as u32)).collect(),
             pitch_px: PITCH_PX,
+            left_out: [0; 4],
         };
         let (mut tracker, mut tracks) = (VerifiedTracker::new(params, SIZE_PX), Tracks::default());
         tracker.initialise(&rest, &Markers::at(rest_px, 0.1), 4000, &mut tracks);

@@ -3,6 +3,7 @@
 use super::Simulator;
 use crate::arrays::{self, Array1, Matrix};
 use crate::errors::raise;
+use crate::notebook;
 use gelstereo_core::math::DVec2;
 use gelstereo_sim as sim;
 use numpy::{PyArray2, PyArray3};
@@ -128,6 +129,11 @@ impl SimulatedFrame {
 
 #[pymethods]
 impl SimulatedFrame {
+    /// Both images side by side, for notebooks.
+    fn _repr_png_<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
+        notebook::png(slf.as_any(), "pair_png")
+    }
+
     fn __repr__(&self, py: Python<'_>) -> PyResult<String> {
         let touching = self.truth.in_contact.iter().filter(|touches| **touches).count();
         let (index, time_s, markers) = (self.index, self.time_s, self.points_mm.bind(py).len()?);

@@ -18,7 +18,7 @@ use gelstereo_sim as sim;
 use numpy::PyArray2;
 use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;
-use pyo3::types::PyMapping;
+use pyo3::types::{PyMapping, PyRange};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 const NO_INDENTER: &str =
@@ -102,6 +102,13 @@ impl Simulator {
         Self::moment(slf, contact.as_ref(), frame as u64)
     }
 
+    /// Iterates over the frames that arrive. Type checkers do not accept `__getitem__` alone.
+    fn __iter__<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
+        let py = slf.py();
+        let indices = PyRange::new(py, 0, slf.get().__len__(py) as isize)?;
+        py.import("builtins")?.call_method1("map", (slf.getattr("__getitem__")?, indices))
+    }
+
     /// (4, 4) the pose moved along the sensor's z axis until the part reaches `press_mm` into the gel.
     ///
     /// Raises
@@ -129,7 +136,10 @@ impl Simulator {
     ///     Rotation of the surface by the contact.
     /// frame : int
     ///     Frame index, which seeds the noise and determines the time of the gel's motion and smears.
-    #[pyo3(signature = (t_sensor_object=None, *, shear_mm=None, twist_rad=0.0, frame=Count(0)), text_signature = "($self, t_sensor_object=None, *, shear_mm=None, twist_rad=0.0, frame=0)")]
+    #[pyo3(
+        signature = (t_sensor_object=None, *, shear_mm=None, twist_rad=0.0, frame=Count(0)),
+        text_signature = "($self, t_sensor_object=None, *, shear_mm=None, twist_rad=0.0, frame=0)"
+    )]
     fn press(
         slf: &Bound<'_, Self>,
         t_sensor_object: Option<&Bound<'_, PyAny>>,

@@ -97,7 +97,8 @@ impl PlannedEffect {
         let Self { name, on, bound_px, bound_um, cost_ns, .. } = self;
         let on = if *on { "on" } else { "off" };
         format!(
-            "<PlannedEffect {name}: {on}, up to {bound_px:.3} px and {bound_um:.2} um, {cost_ns:.0} ns a frame>"
+            "<PlannedEffect {name}: {on}, up to {bound_px:.3} px and {bound_um:.2} um, {cost_ns:.0} ns a \
+            frame>"
         )
     }
 }

@@ -183,7 +183,9 @@ mod tests {
         #![proptest_config(ProptestConfig::with_cases(200))]
 
         #[test]
-        fn transforms_are_the_standards(levels in prop::array::uniform8(prop::array::uniform8(-128..128_i32))) {
+        fn transforms_are_the_standards(
+            levels in prop::array::uniform8(prop::array::uniform8(-128..128_i32)),
+        ) {
             let codec = Codec::new(&Jpeg { quality: 100 });
             let found = codec.forward(levels);
             for (found, expected) in found.iter().flatten().zip(amplitudes(&levels).iter().flatten()) {

@@ -125,3 +125,30 @@ impl Gain {
         if gain > 0.0 { gain } else { 0.0 }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use gelstereo_core::math::{abs, ln};
+    use proptest::prelude::*;
+
+    proptest! {
+        /// The growth is the slope of the gain's logarithm, by central differences.
+        #[test]
+        fn growth_is_the_slope_of_the_gain(
+            across in -0.3..0.3_f64, down in -0.3..0.3_f64, corner_loss in -0.3..0.3_f64,
+            at in (0.0..639.0_f64, 0.0..479.0_f64),
+        ) {
+            let light = UnevenLight { gain: 0.9, across, down, corner_loss };
+            let (at, size) = (DVec2::new(at.0, at.1), DVec2::new(640.0, 480.0));
+            let log = |by: DVec2| ln(light.gain(at + by, size));
+            let growth = light.growth(at, size);
+            for (axis, along) in [(DVec2::X, growth.x), (DVec2::Y, growth.y)] {
+                let slope = 0.5 * (log(axis) - log(-axis));
+                // The third derivative over 6: at most 2 (1.5 / 480)³ where the gain is above a half.
+                prop_assume!(light.gain(at, size) > 0.5);
+                prop_assert!(abs(slope - along) < 1e-7, "{slope} {along}");
+            }
+        }
+    }
+}

@@ -31,7 +31,8 @@ impl core::fmt::Display for LayerError {
             Self::Cells { found, cells } => {
                 write!(
                     f,
-                    "a field has {found} numbers, but the grid has {cells} cells; give one for each, row after row"
+                    "a field has {found} numbers, but the grid has {cells} cells; give one for each, row \
+                    after row"
                 )
             }
         }

@@ -168,7 +168,8 @@ mod tests {
             x in -3.0..13.0, y in -8.0..8.0, z in 24.0..28.5, a in -0.9..0.9, b in -0.9..0.9,
             along in 0.7..1.4, across in 0.7..1.4, slant in -0.05..0.05,
         ) {
-            let mut rig = Scene::preset("640x480-25-refraction").map(|scene| scene.rig).unwrap_or_else(Scene::default_rig);
+            let refracting = Scene::preset("640x480-25-refraction");
+            let mut rig = refracting.map(|scene| scene.rig).unwrap_or_else(Scene::default_rig);
             if let Some(layers) = &mut rig.layers {
                 layers.normal = DVec3::new(slant, 0.3 * slant, 1.0).normalize();
             }
@@ -177,7 +178,8 @@ mod tests {
 
         #[test]
         fn before_a_lens_that_distorts_too(
-            x in -6.0..14.0, y in -10.0..10.0, a in -0.9..0.9, b in -0.9..0.9, k1 in -0.3..0.3, k2 in -0.1..0.1,
+            x in -6.0..14.0, y in -10.0..10.0, a in -0.9..0.9, b in -0.9..0.9, k1 in -0.3..0.3,
+            k2 in -0.1..0.1,
         ) {
             let mut rig = Scene::default_rig();
             rig.left.distortion = [k1, k2, 0.002, -0.001, 0.0];

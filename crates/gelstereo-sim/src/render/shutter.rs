@@ -123,12 +123,16 @@ mod tests {
     proptest! {
         /// A pixel's response to an edge that passes it.
         #[test]
-        fn an_edge_is_smeared_as_its_integral_says(way in 0.0..40.0_f64, from in -9.0..9.0_f64, sigma_px in 0.5..3.0_f64) {
+        fn an_edge_is_smeared_as_its_integral_says(
+            way in 0.0..40.0_f64, from in -9.0..9.0_f64, sigma_px in 0.5..3.0_f64,
+        ) {
             let seen = |x: f64| 0.5 + 0.5 * erf(x / (sigma_px * core::f64::consts::SQRT_2));
             let mut sum = 0.0;
             Shutter::new(Some(sigma_px)).each(way, |share, weight| sum += weight * seen(from + share * way));
             let steps = 4000;
-            let expected = (0..steps).map(|k| seen(from + ((f64::from(k) + 0.5) / f64::from(steps) - 0.5) * way)).sum::<f64>()
+            let expected = (0..steps)
+                .map(|k| seen(from + ((f64::from(k) + 0.5) / f64::from(steps) - 0.5) * way))
+                .sum::<f64>()
                 / f64::from(steps);
             prop_assert!((sum - expected).abs() < 2e-4, "{} of {expected}", sum - expected);
         }

@@ -429,8 +429,16 @@ mod tests {
             sigma_px in 0.8..2.0,
         ) {
             let lens = Lens { sigma_px };
-            let (a, b) = (ellipse(x, y, radius, 1.1, 0.3), ellipse(x + apart * cos(turn), y + apart * sin(turn), 4.0, 1.0, 0.0));
-            let bar = [a.centre_px - a.half_px[1], a.centre_px + a.half_px[1], b.centre_px + b.half_px[1], b.centre_px - b.half_px[1]];
+            let (a, b) = (
+                ellipse(x, y, radius, 1.1, 0.3),
+                ellipse(x + apart * cos(turn), y + apart * sin(turn), 4.0, 1.0, 0.0),
+            );
+            let bar = [
+                a.centre_px - a.half_px[1],
+                a.centre_px + a.half_px[1],
+                b.centre_px + b.half_px[1],
+                b.centre_px - b.half_px[1],
+            ];
             let mut all = shapes(&[a, b]);
             all.extend(Shape::bar(bar.map(|corner| a.centre_px.lerp(corner, 0.7))));
             // The region's corners are kinks that lines between two heights do not resolve.
@@ -443,9 +451,11 @@ mod tests {
         /// The light is as uneven over this image as a scene may have it: several times a camera's.
         #[test]
         fn light_before_the_lens_is_light_behind_it_on_ink_nearer_to_the_dark(
-            x in 14.0..34.0, y in 14.0..34.0, across in -0.1..0.1, down in -0.1..0.1, corner_loss in 0.0..0.05,
+            x in 14.0..34.0, y in 14.0..34.0, across in -0.1..0.1, down in -0.1..0.1,
+            corner_loss in 0.0..0.05,
         ) {
-            let (light, lens) = (UnevenLight { gain: 1.0, across, down, corner_loss }, Lens { sigma_px: 0.8 });
+            let light = UnevenLight { gain: 1.0, across, down, corner_loss };
+            let lens = Lens { sigma_px: 0.8 };
             let dot = ellipse(x, y, 4.3, 1.1, 0.3);
             let size = [SIDE; 2];
             let centre_px = dot.centre_px + displacement(&light, lens, dot.centre_px, size);
@@ -453,7 +463,8 @@ mod tests {
                 let at = DVec2::new((i % SIDE) as f64, (i / SIDE) as f64);
                 share * light.gain(at, DVec2::splat(SIDE as f64)) as f32
             };
-            let found: Vec<f32> = soft(&Ellipse { centre_px, ..dot }, lens).iter().enumerate().map(lit).collect();
+            let found = soft(&Ellipse { centre_px, ..dot }, lens);
+            let found: Vec<f32> = found.iter().enumerate().map(lit).collect();
             let expected = fine(&shapes(&[dot]), lens, Some(&light));
             let off = largest_difference(&found, &expected);
             prop_assert!(off < 2.0 * tolerance(lens), "{off}");

@@ -111,36 +111,38 @@ impl core::fmt::Display for SceneError {
             ),
             Self::BeforeGel { row, col, within_mm } => write!(
                 f,
-                "marker [{row}, {col}] is {within_mm} mm behind the last interface of rig.layers; valid is above 0: move \
-                 gel.surface_mm away or make the layers thinner"
+                "marker [{row}, {col}] is {within_mm} mm behind the last interface of rig.layers; valid is \
+                 above 0: move gel.surface_mm away or make the layers thinner"
             ),
             Self::TwoModels { effect } => write!(
                 f,
-                "effects.{effect} approximates what effects.elastic_layer computes; remove one of them (the layer takes the \
-                 place of shoulder, spread and drag)"
+                "effects.{effect} approximates what effects.elastic_layer computes; remove one of them (the \
+                 layer takes the place of shoulder, spread and drag)"
             ),
             Self::NeedsLayer { effect } => write!(
                 f,
-                "effects.{effect} refines effects.elastic_layer, which the scene does not list; add it or remove effects.{effect}"
+                "effects.{effect} refines effects.elastic_layer, which the scene does not list; add it or \
+                remove effects.{effect}"
             ),
             Self::NothingMoves { keyframes } => write!(
                 f,
-                "the trajectory has {keyframes} keyframes but there is no indenter; add [indenter] or remove them"
+                "the trajectory has {keyframes} keyframes but there is no indenter; add [indenter] or remove \
+                them"
             ),
             Self::KeyframeTime { list, keyframe, time_s, after_s } => write!(
                 f,
-                "keyframe {keyframe} of {list} is at {time_s} s; valid is later than the one before ({after_s} s), at least \
-                 0 and at most 86400 s"
+                "keyframe {keyframe} of {list} is at {time_s} s; valid is later than the one before \
+                 ({after_s} s), at least 0 and at most 86400 s"
             ),
             Self::NothingToSwitchOn { effect } => write!(
                 f,
-                "switches.{effect} is \"on\" but the scene has no {effect}; list it under [effects] (refraction and \
-                 lens_distortion: give the rig layers or a distortion)"
+                "switches.{effect} is \"on\" but the scene has no {effect}; list it under [effects] \
+                 (refraction and lens_distortion: give the rig layers or a distortion)"
             ),
             Self::NothingAsked { effect } => write!(
                 f,
-                "switches.{effect} is \"auto\" but nothing is asked of the scene; add for example asked = {{ kind = \
-                 \"positions\", tolerance_px = 0.01 }}, or switch it on or off"
+                "switches.{effect} is \"auto\" but nothing is asked of the scene; add for example asked = \
+                 {{ kind = \"positions\", tolerance_px = 0.01 }}, or switch it on or off"
             ),
             Self::MeshNeeded { path } => {
                 write!(
@@ -150,7 +152,8 @@ impl core::fmt::Display for SceneError {
             }
             Self::MeshNotNeeded => write!(
                 f,
-                "triangles were passed, but the indenter is not a mesh file; use kind = \"mesh\" or leave them out"
+                "triangles were passed, but the indenter is not a mesh file; use kind = \"mesh\" or leave \
+                them out"
             ),
         }
     }

@@ -27,7 +27,8 @@ pub fn rest(scene: &Scene) -> Truth {
     truth(scene, None)
 }
 
-/// The object's origin over the gel's centre, moved sideways by `offset`, and turned; pressed `press_mm` deep.
+/// The object's origin over the gel's centre, moved sideways by `offset`, and turned; pressed `press_mm`
+/// deep.
 pub fn press(scene: &Scene, rotation: DVec3, offset: DVec2, press_mm: f64) -> ContactState {
     let at = DVec2::from_array(scene.gel.centre_mm) + offset;
     let pose = Pose { rotation: so3::exp(rotation), translation_mm: at.extend(0.0) };

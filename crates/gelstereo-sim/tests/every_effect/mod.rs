@@ -1,4 +1,5 @@
-//! Each effect in a scene of its own, for tests and for the example `effect_costs`: their names are the library's list.
+//! Each effect in a scene of its own, for tests and for the example `effect_costs`: their names are the
+//! library's list.
 #![allow(dead_code, clippy::unwrap_used)]
 
 use gelstereo_core::math::{DVec3, Pose};

@@ -1,4 +1,5 @@
-//! What every setting means, from the doc comments of the types that hold them (collected by `build/reference.rs`).
+//! What every setting means, from the doc comments of the types that hold them (collected by
+//! `build/reference.rs`).
 
 mod page;
 mod print;

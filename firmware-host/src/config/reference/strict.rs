@@ -65,8 +65,8 @@ impl std::fmt::Display for Unknown {
     }
 }
 
-/// Checks all keys and words of a text against the type that it is to become. Values are not looked at, and what is no
-/// TOML passes: reading it finds the fault.
+/// Checks all keys and words of a text against the type that it is to become. Values are not looked at, and
+/// what is no TOML passes: reading it finds the fault.
 pub(crate) fn check_keys(text: &str, root: &str) -> Result<(), Box<Unknown>> {
     let (Ok(table), Some(of)) = (DeTable::parse(text), type_doc(root)) else { return Ok(()) };
     Checker { text, root }.table(table.get_ref(), of, "")
@@ -186,8 +186,8 @@ fn last(path: &str) -> &str {
     path.rsplit('.').next().unwrap_or(path)
 }
 
-/// Known paths that `path` is probably meant to be, of equal rank: the key may be misspelt, lack its unit, or stand in
-/// another table.
+/// Known paths that `path` is probably meant to be, of equal rank: the key may be misspelt, lack its unit, or
+/// stand in another table.
 fn suggest(path: &str, known: &[String]) -> Vec<String> {
     let key = last(path);
     let prefix = path.rfind('.').map_or("", |dot| &path[..=dot]);
@@ -217,8 +217,8 @@ fn nearest<'a>(found: &str, words: impl Iterator<Item = &'a str>) -> Option<&'a 
     words.filter_map(|word| Some((distance(found, word)?, word))).min().map(|(_, word)| word)
 }
 
-/// Edits between two keys, swapped letters counted as one; a missing unit or word at the end counts as one too. `None`
-/// where the keys are not alike: more than a third of the longer one differs.
+/// Edits between two keys, swapped letters counted as one; a missing unit or word at the end counts as one
+/// too. `None` where the keys are not alike: more than a third of the longer one differs.
 fn distance(found: &str, known: &str) -> Option<usize> {
     let starts = found.len() >= 2 && known.strip_prefix(found).is_some_and(|end| end.starts_with('_'));
     if starts {

@@ -1,4 +1,6 @@
-"""The host as it is operated: its doctor, and the packaged unit under systemd, with the camera behind uvcvideo."""
+"""The host as it is operated: its doctor, and the packaged unit under systemd, with the camera behind
+uvcvideo.
+"""
 
 from __future__ import annotations
 
@@ -29,22 +31,26 @@ part = { spacing_mm = 1.0 }
 # Slow enough for 4 Hz: the doctor says whether a task would start.
 task = { closing_speed_mm_s = 5.0, insertion_speed_mm_s = 5.0, move_speed_mm_s = 200.0 }
 """
-# systemd as the first process of a namespace of its own: the guest's first process is busybox. Kernel file systems and
-# devices are the guest's; of control groups it gets a tree of its own.
+# systemd as the first process of a namespace of its own: the guest's first process is busybox. Kernel file
+# systems and devices are the guest's; of control groups it gets a tree of its own.
 CONTAINER = f"""
 mount -t tmpfs tmpfs /run && mkdir -p /run/systemd /run/lock
 mount -t cgroup2 cgroup2 /sys/fs/cgroup
-exec env container=guest SYSTEMD_LOG_TARGET=console /lib/systemd/systemd --system --unit={UNIT} --show-status=no
+export container=guest SYSTEMD_LOG_TARGET=console
+exec /lib/systemd/systemd --system --unit={UNIT} --show-status=no
 """
 
 
 def install() -> None:
-    """What docs/sensing.md tells the operator to do; udev's groups are set by hand, since no udev runs here."""
+    """What docs/sensing.md tells the operator to do; udev's groups are set by hand, since no udev
+    runs here.
+    """
     if Path("/etc/gelstereo").exists():
         return
     shutil.copy(path("gelstereo-host"), "/usr/local/bin/gelstereo-host")
     shutil.copy(REPOSITORY / "packaging" / UNIT, "/etc/systemd/system")
-    # The namespace has no other unit to wait for: what sysinit.target would do, the guest's first process has done.
+    # The namespace has no other unit to wait for: what sysinit.target would do, the guest's first process has
+    # done.
     drop_in = Path(f"/etc/systemd/system/{UNIT}.d/guest.conf")
     drop_in.parent.mkdir(parents=True)
     drop_in.write_text("[Unit]\nDefaultDependencies=no\n", encoding="utf-8")
@@ -155,8 +161,11 @@ def the_unit_senses_survives_a_hang_and_reports_its_health() -> Figures:
         # A loop that hangs is found by systemd's watchdog, and sensing begins anew.
         hung = newest_pid(system)
         system.run("kill", "-STOP", str(hung))
-        again = lambda: newest_pid(system) not in (0, hung) and active() and system.health()[0] == 0  # noqa: E731
-        figures["after_hang_s"] = system.wait(again, "restart after a hang")
+
+        def is_sensing_again() -> bool:
+            return newest_pid(system) not in (0, hung) and active() and system.health()[0] == 0
+
+        figures["after_hang_s"] = system.wait(is_sensing_again, "restart after a hang")
         assert system.show("NRestarts") == "1", system.show("NRestarts")
 
         # Ctrl-C's way: the recording is closed.

@@ -1,4 +1,6 @@
-"""The devices themselves: the kernel's drivers accept them. What fails here is the tests' fault and not the host's."""
+"""The devices themselves: the kernel's drivers accept them. What fails here is the tests' fault and not the
+host's.
+"""
 
 from __future__ import annotations
 

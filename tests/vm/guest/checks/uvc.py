@@ -177,7 +177,8 @@ def another_camera_does_not_take_its_place() -> None:
         with watched(device, name=path) as run:
             wait_for_frames(run, 3)
             device.unplug()
-            # Only when the old device is closed is its number free again; the second attempt comes after that.
+            # Only when the old device is closed is its number free again; the second attempt comes after
+            # that.
             wait_for_event(run, "disconnected", 2)
             frames = len(run.of("frame"))
             with plugged(other):
@@ -207,7 +208,8 @@ def damaged_jpegs_are_events_and_the_stream_goes_on() -> Figures:
     assert len(corrupt) >= 20, corrupt
     assert all(line["stale"] for line in corrupt), corrupt
     reasons = {line["reason"] for line in corrupt}
-    # The frame without its start and both that are no JPEG have one reason; each that was cut states its length.
+    # The frame without its start and both that are no JPEG have one reason; each that was cut states its
+    # length.
     assert len(reasons) == 3, reasons
     return {"reasons": sorted(reasons)}
 

@@ -72,7 +72,9 @@ class Camera:
             fcntl.ioctl(file, USBDEVFS_RESET)
 
     def nodes(self, class_: str) -> list[Path]:
-        """Device nodes of a class (``video4linux``, ``hidraw``) that belong to this camera, by its serial number."""
+        """Device nodes of a class (``video4linux``, ``hidraw``) that belong to this camera, by its serial
+        number.
+        """
         entries = sorted(Path("/sys/class", class_).glob("*"))
         return [Path("/dev", entry.name) for entry in entries if self.serial in serials(entry)]
 

@@ -15,11 +15,13 @@ REPORT = 0x22
 VIDEO_ENDPOINT = 0x81
 CAMERA_TERMINAL, PROCESSING_UNIT = 1, 2
 VIDEO_CONTROL, VIDEO_STREAMING = 0, 1
-# So many bytes of a frame, with two of header, go into one transfer: one of the driver's buffers, 32 packets of 512.
+# So many bytes of a frame, with two of header, go into one transfer: one of the driver's buffers, 32 packets
+# of 512.
 PAYLOAD_BYTES = 16384
 CLOCK_HZ = 48_000_000
 
-# The e-con Tara tells its two HID interfaces apart by the length of these: 29 bytes for control, 23 for the IMU.
+# The e-con Tara tells its two HID interfaces apart by the length of these: 29 bytes for control, 23 for the
+# IMU.
 _HEAD = "0600ff 0901 a101 1901 2940 1500 26ff00 7508 9540 8100"
 CONTROL_REPORTS = bytes.fromhex(_HEAD + "1901 2940 9100 c0")
 IMU_REPORTS = bytes.fromhex(_HEAD + "c0")

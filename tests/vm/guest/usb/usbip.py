@@ -1,8 +1,8 @@
 """A port of the kernel's virtual USB host controller, and the requests that come through it.
 
-The kernel's driver ``vhci_hcd`` speaks the USB/IP protocol over any stream socket that is handed to it, so one end of a
-socket pair is plugged in and this module answers at the other end. No network and no ``usbip`` program is involved.
-The protocol is described in the kernel's Documentation/usb/usbip_protocol.rst.
+The kernel's driver ``vhci_hcd`` speaks the USB/IP protocol over any stream socket that is handed to it, so
+one end of a socket pair is plugged in and this module answers at the other end. No network and no ``usbip``
+program is involved. The protocol is described in the kernel's Documentation/usb/usbip_protocol.rst.
 """
 
 from __future__ import annotations

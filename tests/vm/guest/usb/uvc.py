@@ -132,7 +132,8 @@ class Video:
         toggle, tick = 0, 0
         try:
             while True:
-                # All cameras of one rate share one clock, as by a cable for synchronisation. A late one skips ticks.
+                # All cameras of one rate share one clock, as by a cable for synchronisation. A late one skips
+                # ticks.
                 tick = max(tick + 1, math.ceil((time.monotonic() - self.phase_s) * self.mode.rate_hz))
                 time.sleep(max(0.0, tick / self.mode.rate_hz + self.phase_s - time.monotonic()))
                 if self.flowing.wait(0.1):

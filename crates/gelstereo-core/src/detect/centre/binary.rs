@@ -2,9 +2,6 @@
 
 use super::{CentreRung, Components};
 use crate::detect::markers::Markers;
-use crate::detect::mask::components::{Blob, Run};
-use crate::image::GrayView;
-use crate::math::DVec2;
 use crate::params::DetectParams;
 
 /// Means of components, with one variance for all.
@@ -23,10 +20,6 @@ impl BinaryCentroid {
 impl CentreRung for BinaryCentroid {
     fn centre_components(&mut self, found: &mut Components<'_>, out: &mut Markers) {
         found.push_means(self.variance_px2, out);
-    }
-
-    fn centre_component(&mut self, _: GrayView<'_>, blob: &Blob, _: &[Run]) -> DVec2 {
-        blob.mean_px()
     }
 
     fn window_variance_px2(&self, _: u8) -> f64 {

@@ -1,7 +1,8 @@
 //! Centre uncertainty of partly covered markers.
 
 use crate::detect::markers::Markers;
-use crate::detect::mask::blob_filter::{AREA_SPREAD, usual_area_px2};
+use crate::detect::mask::blob_filter::AREA_SPREAD;
+use crate::detect::mask::usual_area::usual_area_px2;
 use crate::image::{GrayView, reaches};
 use crate::math::{DVec2, abs, ceil, sqrt};
 use alloc::vec::Vec;
@@ -128,8 +129,8 @@ pub(in crate::detect) fn unfitted_px2(image: GrayView<'_>, markers: &Markers, in
     variance_px2(image, centre_px, f64::from(area_px2), f64::from(usual_px2))
 }
 
-/// Variance of a coordinate, px², of a listed marker whose model was fitted, if its area differs both from the
-/// usual one and from those of the markers around it: a part is hidden.
+/// Variance of a coordinate, px², of a listed marker whose model was fitted, if its area differs both from
+/// the usual one and from those of the markers around it: a part is hidden.
 pub(in crate::detect) fn hidden_px2(
     image: GrayView<'_>,
     markers: &Markers,

@@ -88,3 +88,53 @@ fn blur(from: &[DVec2], to: &mut [DVec2], kernel: &[f64; SIDE]) {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+
+        /// gᵀ C g, pixel pair by pixel pair.
+        #[test]
+        fn variances_are_sums_over_all_pairs(
+            answers in prop::collection::vec(
+                (-REACH..=REACH, -REACH..=REACH, -1.0..1.0_f64, -1.0..1.0_f64), 1..40,
+            ),
+            size_px in 0.5..4.0_f64,
+        ) {
+            let mut influence = Influence::new();
+            let mut pixels: Vec<([i32; 2], DVec2)> = Vec::new();
+            for (x, y, across, down) in answers {
+                pixels.retain(|(at, _)| *at != [x, y]);
+                pixels.push(([x, y], DVec2::new(across, down)));
+                influence.set([x, y], DVec2::new(across, down));
+            }
+            let found = influence.variances_px2(size_px).unwrap();
+            let (mut white, mut grain) = (0.0, 0.0);
+            for &([x, y], a) in &pixels {
+                white += a.length_squared();
+                for &([u, v], b) in &pixels {
+                    let squared = f64::from((x - u) * (x - u) + (y - v) * (y - v));
+                    grain += a.dot(b) * exp(-squared / (4.0 * size_px * size_px));
+                }
+            }
+            // Round-off of at most 1600 terms up to 2.
+            prop_assert!((found.white - white).abs() < 1e-12, "{} {white}", found.white);
+            prop_assert!((found.grain - grain).abs() < 1e-11, "{} {grain}", found.grain);
+        }
+    }
+
+    #[test]
+    fn a_window_that_is_too_large_has_no_variance() {
+        let mut influence = Influence::new();
+        influence.set([REACH, -REACH], DVec2::X);
+        assert!(influence.variances_px2(1.0).is_some());
+        influence.set([REACH + 1, 0], DVec2::X);
+        assert!(influence.variances_px2(1.0).is_none());
+        influence.clear();
+        assert!(influence.variances_px2(1.0).is_some_and(|v| v.white == 0.0 && v.grain == 0.0));
+    }
+}

@@ -20,8 +20,6 @@ use super::mask::components::{Blob, Run};
 use super::mask::segmentation::Segmentation;
 use super::window::size::MarkerSize;
 use crate::image::GrayView;
-use crate::math::DVec2;
-use crate::math::linalg::Symmetric;
 
 /// Components of an image, and the filter that selects the markers.
 pub(super) struct Components<'a> {
@@ -48,37 +46,10 @@ impl Components<'_> {
     }
 }
 
-/// Marker found in a window of the mask.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct MaskedMarker {
-    /// Index of the expected position.
-    pub position: u32,
-    /// Row and column of its first pixel, unique per component of an image.
-    pub key: (u16, u16),
-    pub centre_px: DVec2,
-    pub area_px2: u32,
-    pub spread_px2: Symmetric<2>,
-}
-
-/// Markers found in windows of an image's mask.
-pub(super) struct MaskedMarkers<'a> {
-    pub image: GrayView<'a>,
-    pub mask: &'a [u8],
-    /// In the order of the marker list.
-    pub markers: &'a [MaskedMarker],
-    pub max_markers: usize,
-}
-
 /// Method that computes centres and covariances from components.
 pub(super) trait CentreRung {
     /// Appends the markers of an image in the order of their components; `out` is empty, with room for all.
     fn centre_components(&mut self, found: &mut Components<'_>, out: &mut Markers);
-
-    /// Initial centre of a component in a window of the mask.
-    fn centre_component(&mut self, image: GrayView<'_>, blob: &Blob, runs: &[Run]) -> DVec2;
-
-    /// Refines listed markers.
-    fn refine_masked(&mut self, _: &MaskedMarkers<'_>, _: &mut Markers) {}
 
     /// Refines listed markers found by the window classifier; returns whether any may have moved.
     fn refine_windows(&mut self, _: GrayView<'_>, _: &MarkerSize, _: &mut Markers) -> bool {

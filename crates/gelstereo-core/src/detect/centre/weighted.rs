@@ -92,10 +92,6 @@ impl CentreRung for WeightedCentroid {
         }
     }
 
-    fn centre_component(&mut self, image: GrayView<'_>, blob: &Blob, runs: &[Run]) -> DVec2 {
-        self.run(image, blob, runs.iter())
-    }
-
     fn window_variance_px2(&self, _: u8) -> f64 {
         self.variance_px2
     }
@@ -263,5 +259,51 @@ const fn sign(polarity: Polarity) -> i64 {
     match polarity {
         Polarity::Dark => 1,
         Polarity::Bright => -1,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::detect::mask::components::Components as MaskComponents;
+    use proptest::prelude::*;
+
+    /// Centre of a dark square of 5 pixels with a grey rim, whose first column is the given one, on gel with
+    /// a slope.
+    fn centre_of(first: usize, [per_x, per_y]: [i32; 2]) -> DVec2 {
+        let (width, height) = (32, 16);
+        let (mut image, mut mask) = (alloc::vec![0; width * height], alloc::vec![0; width * height]);
+        for y in 0..height {
+            for x in 0..width {
+                // In steps from the square, so that the light is the same wherever it is.
+                let (u, v) = (x as i32 - first as i32, y as i32 - 5);
+                let gel = 150 + per_x * u + per_y * v;
+                let within =
+                    |margin: i32| (-margin..5 + margin).contains(&u) && (-margin..5 + margin).contains(&v);
+                let depth = if within(0) {
+                    80
+                } else if within(1) {
+                    40
+                } else {
+                    0
+                };
+                image[y * width + x] = (gel - depth) as u8;
+                mask[y * width + x] = if within(0) { 255 } else { 0 };
+            }
+        }
+        let mut components = MaskComponents::default();
+        let blob = components.run(GrayView::new(&mask, width, height, width).unwrap())[0];
+        let view = GrayView::new(&image, width, height, width).unwrap();
+        let mut rung = WeightedCentroid::new(&DetectParams::default());
+        rung.run(view, &blob, components.runs(&blob)) - DVec2::new(first as f64, 5.0)
+    }
+
+    proptest! {
+        /// The rim of a dot one pixel from the border is no gel: the centre is that of a dot amid the image.
+        #[test]
+        fn a_dot_beside_the_border_has_its_own_centre(per_x in -2..=2, per_y in -2..=2) {
+            let [beside, amid] = [1, 12].map(|first| centre_of(first, [per_x, per_y]));
+            prop_assert!(beside.distance(amid) < 1e-3, "{beside} {amid}");
+        }
     }
 }

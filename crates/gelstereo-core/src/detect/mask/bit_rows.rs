@@ -143,7 +143,8 @@ mod tests {
             runs in prop::collection::vec((any::<bool>(), 1..90_usize), 1..9), by in 0..20_usize
         ) {
             let level = |set: bool| if set { u8::MAX } else { 0 };
-            let row: Vec<u8> = runs.iter().flat_map(|&(set, length)| (0..length).map(move |_| level(set))).collect();
+            let row: Vec<u8> =
+                runs.iter().flat_map(|&(set, length)| (0..length).map(move |_| level(set))).collect();
             let mut expected: Vec<Range<usize>> = Vec::new();
             for x in (0..row.len()).filter(|&x| row[x] == 0) {
                 match expected.last_mut() {

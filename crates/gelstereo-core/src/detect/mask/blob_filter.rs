@@ -1,13 +1,10 @@
 //! Blob filter: which components are markers, by area relative to the others and by shape.
 
 use super::components::Blob;
+use super::usual_area::{area_range_px2, regular_area_px2, usual_area_px2};
 use crate::detect::markers::CutMarker;
 use crate::params::{DetectParams, Threshold};
 use alloc::vec::Vec;
-
-/// Least and largest marker area, as shares of the usual area. Smaller are specks of paint or noise,
-/// larger are edges of other objects.
-pub(in crate::detect) const SHARES_OF_AREA: (f64, f64) = (0.4, 2.0);
 
 /// Relative spread of marker areas: a cut marker of the usual visible area may still lack this share.
 pub(in crate::detect) const AREA_SPREAD: f64 = 0.2;
@@ -47,6 +44,16 @@ impl BlobFilter {
         }
         sieve.usual_px2 = usual_area_px2(areas_px2);
         sieve.range_px2 = area_range_px2(params.threshold, sieve.usual_px2);
+        // Large objects behind a clear gel may have more pixels than all markers together.
+        let usual =
+            areas_px2.iter().filter(|area| sieve.range_px2.0 <= **area && **area <= sieve.range_px2.1);
+        if params.threshold == Threshold::Auto && 2 * usual.count() < areas_px2.len() {
+            let whole = |blob: &&Blob| sieve.is_marker(blob) && !sieve.is_cut(blob);
+            if let Some(area_px2) = regular_area_px2(&|| blobs.iter().filter(whole), areas_px2) {
+                sieve.usual_px2 = area_px2;
+                sieve.range_px2 = area_range_px2(params.threshold, area_px2);
+            }
+        }
         (sieve, found)
     }
 
@@ -78,29 +85,6 @@ impl BlobFilter {
     fn in_range(&self, blob: &Blob) -> bool {
         (self.range_px2.0..=self.range_px2.1).contains(&blob.area_px2)
     }
-}
-
-/// Least and largest marker area for a given usual area.
-pub(in crate::detect) fn area_range_px2(threshold: Threshold, usual_px2: f64) -> (u32, u32) {
-    match threshold {
-        Threshold::Auto if usual_px2 > 0.0 => {
-            ((SHARES_OF_AREA.0 * usual_px2) as u32, (SHARES_OF_AREA.1 * usual_px2) as u32)
-        }
-        Threshold::Fixed | Threshold::Auto => (0, u32::MAX),
-    }
-}
-
-/// Area at the median pixel of all markers (pixel-weighted median); 0 for none. Specks may outnumber the
-/// markers but have few pixels.
-pub(in crate::detect) fn usual_area_px2(areas_px2: &mut [u32]) -> f64 {
-    areas_px2.sort_unstable();
-    let all: u64 = areas_px2.iter().map(|&area| u64::from(area)).sum();
-    let mut below = 0;
-    let usual = areas_px2.iter().find(|&&area| {
-        below += u64::from(area);
-        2 * below >= all
-    });
-    usual.map_or(0.0, |&area| f64::from(area))
 }
 
 /// Whether a component fills enough of its bounding ellipse.

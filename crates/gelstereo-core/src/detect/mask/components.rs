@@ -128,7 +128,8 @@ impl Components {
         self.finish()
     }
 
-    /// Starts a mask of this size. Scratch is reserved for [`Limits`] runs and components, and grows for more.
+    /// Starts a mask of this size. Scratch is reserved for [`Limits`] runs and components, and grows for
+    /// more.
     pub(in crate::detect) fn start(&mut self, width: usize, height: usize) {
         let max = Limits::of(width, height);
         self.runs.clear();

@@ -11,4 +11,5 @@ pub mod noise_level;
 pub(super) mod segmentation;
 pub mod smooth;
 pub mod threshold;
+pub(super) mod usual_area;
 mod walls;

@@ -74,7 +74,7 @@ impl Segmentation {
     }
 
     /// Computes the mask of the whole image, without components.
-    pub fn mask_all(&mut self, image: GrayView<'_>) {
+    fn mask_all(&mut self, image: GrayView<'_>) {
         self.difference.survey(image);
         let width = image.width();
         self.mask.resize(width * image.height(), 0);
@@ -82,11 +82,6 @@ impl Segmentation {
             self.difference.row(image, y, row);
         }
         self.closing.run(&mut self.mask, width);
-    }
-
-    /// The mask computed by [`Self::mask_all`].
-    pub fn mask(&self) -> &[u8] {
-        &self.mask
     }
 
     /// Writes the mask of the components for an image of this size, row by row: 255 where a pixel belongs

@@ -9,9 +9,10 @@
 use crate::detect::centre::noise::MarkerPixels;
 use crate::detect::centre::soft_threshold::SoftThreshold;
 use crate::detect::markers::Markers;
-use crate::detect::mask::blob_filter::{BlobFilter, area_range_px2};
+use crate::detect::mask::blob_filter::BlobFilter;
 use crate::detect::mask::components::Blob;
 use crate::detect::mask::segmentation::Segmentation;
+use crate::detect::mask::usual_area::area_range_px2;
 use crate::detect::window::size::MarkerSize;
 use crate::detect::window::sized::SizedClassifier;
 use crate::image::GrayView;

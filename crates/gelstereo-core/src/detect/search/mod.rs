@@ -1,6 +1,5 @@
 //! Ways to search an image: whole, at half resolution, and near expected positions.
 
 pub(super) mod half;
-pub(super) mod masked;
 pub(super) mod whole;
 pub(super) mod windows;

@@ -32,3 +32,34 @@ impl Window {
         Some(Self { first: (x.0, y.0), end: (x.1, y.1) })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::abs;
+    use alloc::vec::Vec;
+    use proptest::prelude::*;
+
+    proptest! {
+        /// A window has the pixels within reach along both axes, and no others.
+        #[test]
+        fn a_window_has_the_pixels_within_reach(
+            x in -20.0..40.0_f64, y in -20.0..40.0_f64, reach_px in 0.0..30.0_f64, whole in any::<bool>(),
+        ) {
+            let size_px = (24, 17);
+            let round = |at: f64| if whole { crate::math::round(at) } else { at };
+            let (at, reach_px) = (DVec2::new(round(x), round(y)), round(reach_px));
+            let near = |at: f64, size: usize| -> Vec<usize> {
+                (0..size).filter(|&k| abs(k as f64 - at) <= reach_px).collect()
+            };
+            let (columns, rows) = (near(at.x, size_px.0), near(at.y, size_px.1));
+            match Window::around(at, reach_px, size_px) {
+                None => prop_assert!(columns.is_empty() || rows.is_empty()),
+                Some(Window { first, end }) => {
+                    prop_assert_eq!(columns, (first.0..end.0).collect::<Vec<_>>());
+                    prop_assert_eq!(rows, (first.1..end.1).collect::<Vec<_>>());
+                }
+            }
+        }
+    }
+}

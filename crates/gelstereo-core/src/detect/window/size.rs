@@ -1,6 +1,6 @@
 //! Window dimensions for markers of one size.
 
-use crate::detect::mask::blob_filter::SHARES_OF_AREA;
+use crate::detect::mask::usual_area::SHARES_OF_AREA;
 
 /// Largest number of rows and columns of a window.
 pub const MAX_WINDOW_PX: usize = 32;

@@ -124,3 +124,34 @@ fn score(problem: &Problem<'_>, placed: &[DVec3], motion: &Pose, limit: f64) -> 
     }
     sum
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::{cos, sin};
+    use crate::params::RegisterParams;
+    use crate::register::template::Template;
+    use crate::stop::NEVER;
+    use alloc::vec::Vec;
+
+    /// A long strip that is turned about one of its ends: its middle lies beyond the search radius, and is
+    /// not searched for there, although the end is within.
+    #[test]
+    fn a_patch_is_not_moved_beyond_the_search_radius() {
+        let at = |i: i32| DVec3::new(0.5 * f64::from(i % 40), 0.5 * f64::from(i / 40 - 2), 0.0);
+        let wavy = |p: DVec3| p + DVec3::Z * (0.4 * sin(1.3 * p.x) + 0.3 * cos(2.1 * p.y));
+        let points_mm: Vec<DVec3> = (0..200).map(|i| wavy(at(i))).collect();
+        let normal = |p: DVec3| DVec3::new(0.52 * cos(1.3 * p.x), -0.63 * sin(2.1 * p.y), -1.0).normalize();
+        let normals: Vec<DVec3> = points_mm.iter().map(|&p| normal(p)).collect();
+        let template = Template::new(&points_mm, &normals, 0.5).unwrap();
+        let mut params = RegisterParams::default();
+        (params.ransac_icp.hypotheses, params.advanced.search_radius_mm) = (5000, 1.5);
+        let problem = Problem { params: &params, points_mm: &points_mm, template: &template, stop: NEVER };
+        let guess = Pose::exp(DVec3::Z * 0.25, DVec3::ZERO);
+        let middle = centroid(&points_mm);
+        let found = search(&problem, &mut Scratch::default(), &guess).unwrap();
+        let moved_mm =
+            found.inverse().transform_point(middle).distance(guess.inverse().transform_point(middle));
+        assert!(moved_mm <= 1.5 + 1e-9, "{moved_mm} mm");
+    }
+}

@@ -190,6 +190,23 @@ mod tests {
     use super::*;
     use crate::math::{erfc, exp};
 
+    /// The density of free gel is uniform from the part to its reach, blurred by noise: half at the part's
+    /// surface.
+    #[test]
+    fn free_gel_begins_at_the_part() {
+        let (sigma_mm, reach_mm) = (0.03, 4.0);
+        let mixture = Loose::new(0.1, reach_mm, 10.0).with(0.0);
+        let stray = mixture.at(2.0 * reach_mm, Bell::NONE).1;
+        for k in -70..=70 {
+            let r = 0.1 * f64::from(k);
+            let (touches, all) = mixture.at(r * sigma_mm, Bell::at(r * sigma_mm, sigma_mm));
+            let expected = 0.9 / reach_mm * 0.5 * erfc(-r * FRAC_1_SQRT_2);
+            assert_eq!(touches, 0.0);
+            // The tail's own error.
+            assert!((all - stray - expected).abs() < 2.5e-5 * 0.9 / reach_mm, "{r}: {all} {expected}");
+        }
+    }
+
     #[test]
     fn a_bell_is_the_normal_law_and_its_tail() {
         let sigma_mm = 0.03;

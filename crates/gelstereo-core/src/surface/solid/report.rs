@@ -65,8 +65,8 @@ impl core::fmt::Display for SolidError {
         match self {
             Self::Empty => write!(
                 f,
-                "no triangle has an area beyond the rounding of its coordinates; move the part to the origin, or \
-                 write it with more digits"
+                "no triangle has an area beyond the rounding of its coordinates; move the part to the \
+                 origin, or write it with more digits"
             ),
             Self::TooFar { vertex } => write!(
                 f,

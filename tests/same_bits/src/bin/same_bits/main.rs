@@ -1,4 +1,5 @@
-//! Compares the digests of this machine with the committed ones; `--write` commits those of this machine in their place.
+//! Compares the digests of this machine with the committed ones; `--write` commits those of this machine in
+//! their place.
 #![allow(clippy::print_stdout, reason = "it is a program")]
 #![cfg_attr(not(test), deny(clippy::unwrap_used, clippy::expect_used))]
 

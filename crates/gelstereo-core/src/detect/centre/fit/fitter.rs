@@ -44,17 +44,18 @@ const QUICK_STEPS: usize = 2;
 const STRAIGHT_BLURS: f64 = 2.0;
 /// Window radii that differ by less count as equal.
 const LIKE_USUAL_PX: f64 = 0.5;
-/// Most steps with the template: one from a component's mean, another for each pixel that a prediction is off.
+/// Most steps with the template: one from a component's mean, another for each pixel that a prediction is
+/// off.
 const TEMPLATE_STEPS: usize = 4;
 /// A step of the template from farther away was not from its nearest position: half of their spacing in
 /// both directions, and a little.
 const NEAREST_PLACE_PX: f64 = 0.2;
-/// Rms difference per axis between a step of the template and the converged fit: 0.0034 px on simulated images,
-/// 0.005 px on the path-traced working images. Settings that ask for less get steps with the marker's own
-/// outline.
+/// Rms difference per axis between a step of the template and the converged fit: 0.0034 px on simulated
+/// images, 0.005 px on the path-traced working images. Settings that ask for less get steps with the marker's
+/// own outline.
 const LEFT_BY_TEMPLATE_PX: f64 = 0.01;
-/// Variance that a step of the template adds, over that due to sampling. On drawn discs of 2.7 to 6 px radius it
-/// is 1.5 behind no lens and 1.1 behind a blur of 0.2 px; behind 0.35 px it is 5, of a tenth of the noise.
+/// Variance that a step of the template adds, over that due to sampling. On drawn discs of 2.7 to 6 px radius
+/// it is 1.5 behind no lens and 1.1 behind a blur of 0.2 px; behind 0.35 px it is 5, of a tenth of the noise.
 const SAMPLING_BY_TEMPLATE: f64 = 2.0;
 /// Parameters of one marker: centre, ellipse, contrast, ground and its two slopes.
 const PARAMETERS: f64 = 9.0;

@@ -24,9 +24,9 @@ pub use step::{Fitted, Start};
 
 use super::covered;
 use super::weighted::WeightedCentroid;
-use super::{CentreRung, Components, MaskedMarkers};
+use super::{CentreRung, Components};
 use crate::detect::markers::Markers;
-use crate::detect::mask::components::{Blob, Limits, Run};
+use crate::detect::mask::components::{Blob, Limits};
 use crate::detect::mask::segmentation::MIN_NEIGHBOUR_PX2;
 use crate::detect::window::size::MarkerSize;
 use crate::image::GrayView;
@@ -200,17 +200,6 @@ impl CentreRung for DiscFit {
                 out.centres_px[k] = self.weighted.run(image, blob, found.runs(blob));
             }
         }
-    }
-
-    fn centre_component(&mut self, image: GrayView<'_>, blob: &Blob, runs: &[Run]) -> DVec2 {
-        self.weighted.run(image, blob, runs.iter())
-    }
-
-    fn refine_masked(&mut self, found: &MaskedMarkers<'_>, out: &mut Markers) {
-        self.clear(found.max_markers);
-        found.markers.iter().for_each(|m| self.add(m.centre_px, m.spread_px2));
-        let others_px = found.markers.iter().map(|m| m.centre_px);
-        self.finish(found.image, MarkerPixels::Mask(found.mask), others_px, out);
     }
 
     /// Uses what was learned from the last whole image searched.

@@ -174,7 +174,7 @@ mod tests {
             }
             let count = spread_of(&levels, &near, clearance).0 as f64;
             for (sum, lag) in sums.iter().zip(LAGS) {
-                prop_assert!(abs(sum - 2.0 * count) <= 1e-11 * count, "lag {}: {} of {}", lag, sum, 2.0 * count);
+                prop_assert!(abs(sum - 2.0 * count) <= 1e-11 * count, "lag {lag}: {sum} of {}", 2.0 * count);
             }
         }
 
@@ -199,7 +199,8 @@ mod tests {
         /// Agrees with a pair-by-pair sum, for lengths around the vector length and at either end of a row.
         #[test]
         fn differences_add_up(
-            row in prop::collection::vec(any::<u8>(), 5..4 * LANES), before in 0..9_usize, after in 0..40_usize
+            row in prop::collection::vec(any::<u8>(), 5..4 * LANES), before in 0..9_usize,
+            after in 0..40_usize,
         ) {
             let start = before.min(row.len() - 5);
             let gel = start..row.len().saturating_sub(after).max(start + 5);

@@ -325,3 +325,24 @@ impl NoiseMeter {
         Some(sum / pairs)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        /// Grain has the contrast of its light, so its variance grows by the square; white noise stays.
+        #[test]
+        fn grain_grows_with_the_square_of_the_light(
+            grain_levels2 in 0.1..9.0_f64, gel_level in 20.0..200.0_f64, times in 0.3..3.0_f64,
+        ) {
+            let noise = Noise { grain_levels2, gel_level, ..Noise::default() };
+            let there = noise.at(times * gel_level);
+            prop_assert!((there.grain_levels2 / (grain_levels2 * times * times) - 1.0).abs() < 1e-14);
+            prop_assert_eq!(there.white_levels2, noise.white_levels2);
+            // And back again.
+            prop_assert!((there.at(gel_level).grain_levels2 / grain_levels2 - 1.0).abs() < 1e-14);
+        }
+    }
+}

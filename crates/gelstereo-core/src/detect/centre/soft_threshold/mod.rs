@@ -1,4 +1,5 @@
-//! Variances of the soft-threshold centroids of [`Centre::SoftThreshold`](crate::params::Centre::SoftThreshold).
+//! Variances of the soft-threshold centroids of
+//! [`Centre::SoftThreshold`](crate::params::Centre::SoftThreshold).
 //!
 //! Such a centroid is a weighted sum of the pixels at the marker's edge and in the window's corners, with
 //! known weights. Its variance is that of the sum in the image's noise and grain. White noise counts
@@ -13,7 +14,6 @@ use super::noise::{CLEARANCE_PX, MarkerPixels, Noise, NoiseMeter, NoiseRows};
 use super::weighted::WeightedCentroid;
 use super::{CentreRung, Components};
 use crate::detect::markers::Markers;
-use crate::detect::mask::components::{Blob, Run};
 use crate::detect::window::classifier::{WindowClassifier, WindowMarker};
 use crate::detect::window::size::MarkerSize;
 use crate::detect::window::sized::SizedClassifier;
@@ -26,8 +26,6 @@ use profile::{Profile, Variances};
 /// Rows from which noise is measured. With half as many, the grain that matters beside noise of 18 levels
 /// is seldom detected.
 const NOISE_ROWS: usize = 80;
-/// Markers whose windows give the profile, spread evenly: some 80 pixels in each ring of the edge.
-const SAMPLES: usize = 12;
 
 /// Variance of 1 / band² over its square, for noise equal to the band. The band is half the contrast
 /// between the corners' mean of 36 pixels or so and the darkest pixel, the least of some twenty, whose
@@ -110,8 +108,7 @@ impl BandNoise {
         bands: &[u8],
     ) {
         let mut profile = Profile::new(classifier.size().radius_px);
-        let samples = SAMPLES.min(centres_px.len());
-        for at_px in (0..samples).map(|k| centres_px[(2 * k + 1) * centres_px.len() / (2 * samples)]) {
+        for &at_px in centres_px {
             if let Some(frame) =
                 classifier.shares(image, at_px, |distance_px2, share| profile.add(distance_px2, share))
             {
@@ -225,10 +222,6 @@ impl CentreRung for SoftThreshold {
             let pixels = MarkerPixels::Components { components: &found.segmentation.components, scale: 1 };
             self.state_variances(found.image, &size, pixels, out);
         }
-    }
-
-    fn centre_component(&mut self, image: GrayView<'_>, blob: &Blob, runs: &[Run]) -> DVec2 {
-        self.weighted.run(image, blob, runs.iter())
     }
 
     fn window_variance_px2(&self, band: u8) -> f64 {

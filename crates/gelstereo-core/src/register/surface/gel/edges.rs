@@ -28,8 +28,6 @@ const TELLS: f64 = 3.0;
 const GOOD: f64 = 0.5;
 /// Smallest sine, across the press, between two faces that form an edge.
 const MIN_SINE: f64 = 0.1;
-/// Information that counts as none, per mm²: a standard deviation of a metre.
-pub(in crate::register::surface) const MIN_KNOWN: f64 = 1e-6;
 /// Sweeps over the walls; more change the result little.
 const SWEEPS: usize = 3;
 /// Standard deviations beyond which a wall has no effect, and to which a mean outside the wall is clamped.
@@ -63,7 +61,11 @@ impl GelFit<'_> {
             let sigma_mm = sqrt(sight.variance_mm2);
             let touched = |j: usize| here.sights[j].foot.as_ref().filter(|_| here.sights[j].touches);
             let lift_mm = here.heights_mm[k] - gel.free_mm(k, stiffness, &here.heights_mm);
-            let mut nearest: Option<Wall> = None;
+            if self.may_bridge(state, here, k, lift_mm) {
+                continue;
+            }
+            // Beyond an edge the gel falls gradually, by the change over the distance between the markers.
+            let (mut nearest, mut kink_mm): (Option<Wall>, f64) = (None, 0.0);
             for j in gel.near(k).filter(|&j| here.sights[j].touches != sight.touches) {
                 let (inner, outer) = if sight.touches { (k, j) } else { (j, k) };
                 let nodes = [&gel.nodes[inner], &gel.nodes[outer]];
@@ -78,20 +80,26 @@ impl GelFit<'_> {
                 } else {
                     (rises_mm, edge.room_mm[1], 1.0)
                 };
-                if changes_mm < TELLS * sigma_mm || nearest.is_some_and(|wall| wall.room_mm <= room_mm) {
+                if changes_mm < TELLS * sigma_mm {
+                    continue;
+                }
+                kink_mm = kink_mm.max(sigma_mm * (edge.room_mm[0] + edge.room_mm[1]) / changes_mm);
+                if nearest.is_some_and(|wall| wall.room_mm <= room_mm) {
                     continue;
                 }
                 let (sample, u) = (&gel.nodes[k].sample, sign * edge.across);
-                let kink_mm = sigma_mm / edge.slope;
                 nearest = Some(Wall {
                     row: stack(sample.p_mm.cross(u) / self.problem.samples.radius_mm, u),
                     room_mm,
-                    sigma_mm: sqrt(kink_mm * kink_mm + sample.variance(u)),
+                    sigma_mm: sqrt(sample.variance(u)),
                     precision: 0.0,
                     pull: 0.0,
                 });
             }
-            walls.extend(nearest);
+            walls.extend(nearest.map(|wall| Wall {
+                sigma_mm: sqrt(wall.sigma_mm * wall.sigma_mm + kink_mm * kink_mm),
+                ..wall
+            }));
         }
     }
 
@@ -145,12 +153,16 @@ pub(in crate::register::surface) struct Bounded {
 }
 
 impl Bounded {
-    /// Truncates the normal distribution with mean zero and this information matrix. Its covariance uses
-    /// at least `min_information` along every eigenvector.
-    pub fn new(information: &Symmetric<6>, min_information: f64, walls: &mut [Wall]) -> Self {
-        let (known, mut covariance) = (eigen(information), [[0.0; 6]; 6]);
+    /// Truncates the normal distribution with mean zero whose information is this plus the guess's along the
+    /// axes. Without the guess a direction with a wall on one side only would have no limit.
+    pub fn new(information: &Symmetric<6>, guess: &Vector6, walls: &mut [Wall]) -> Self {
+        let mut sum = *information;
+        (0..6).for_each(|i| sum[i][i] += guess[i]);
+        let (known, mut covariance) = (eigen(&sum), [[0.0; 6]; 6]);
+        // No eigenvalue of the sum is less, but for rounding.
+        let min_known = guess.iter().copied().fold(f64::INFINITY, f64::min);
         for (value, u) in known.values.iter().zip(&known.vectors) {
-            add_outer(&mut covariance, u, 1.0 / value.max(min_information));
+            add_outer(&mut covariance, u, 1.0 / value.max(min_known));
         }
         let mut out = Self { information: *information, mean: [0.0; 6], covariance };
         walls.iter_mut().for_each(|wall| (wall.precision, wall.pull) = (0.0, 0.0));
@@ -218,6 +230,8 @@ mod tests {
     }
 
     const KNOWN: f64 = 10.0;
+    /// A guess that is known to a metre.
+    const GUESS: Vector6 = [1e-6; 6];
 
     fn information() -> Symmetric<6> {
         core::array::from_fn(|i| core::array::from_fn(|k| if i == k { KNOWN } else { 0.0 }))
@@ -244,7 +258,7 @@ mod tests {
             let rooms = (0..count).map(|k| pitch_mm * (f64::from(k) + 0.3) / f64::from(count));
             let mut walls: Vec<Wall> =
                 rooms.flat_map(|room_mm| [wall(room_mm, 1.0), wall(pitch_mm - room_mm, -1.0)]).collect();
-            let told = Bounded::new(&information(), MIN_KNOWN, &mut walls).information(&walls);
+            let told = Bounded::new(&information(), &GUESS, &mut walls).information(&walls);
             let ratio = 1.0 / (told[3][3] * integral(&walls));
             // The truncated distribution is uniform between the nearest two walls; the approximation is
             // up to a quarter wider.
@@ -257,7 +271,7 @@ mod tests {
     fn a_row_of_markers_along_an_edge_tells_hardly_more_than_one() {
         let told = |count: usize| {
             let mut walls: Vec<Wall> = (0..count).flat_map(|_| [wall(0.5, 1.0), wall(0.4, -1.0)]).collect();
-            Bounded::new(&information(), MIN_KNOWN, &mut walls).information(&walls)[3][3]
+            Bounded::new(&information(), &GUESS, &mut walls).information(&walls)[3][3]
         };
         // Independent walls would give eight times the information.
         assert!(told(8) > told(1) && told(8) < 2.0 * told(1), "{} {}", told(8), told(1));
@@ -266,7 +280,7 @@ mod tests {
     #[test]
     fn a_wall_far_away_changes_nothing() {
         let mut walls = [wall(3.0, 1.0), wall(3.0, -1.0)];
-        assert_eq!(Bounded::new(&information(), MIN_KNOWN, &mut walls).information(&walls), information());
+        assert_eq!(Bounded::new(&information(), &GUESS, &mut walls).information(&walls), information());
     }
 
     #[test]
@@ -274,7 +288,7 @@ mod tests {
         // Half a normal distribution has the mean square of the whole.
         let mut walls = [wall(0.0, 1.0)];
         walls[0].sigma_mm = 1e-6;
-        let bounded = Bounded::new(&information(), MIN_KNOWN, &mut walls);
+        let bounded = Bounded::new(&information(), &GUESS, &mut walls);
         assert!((bounded.information(&walls)[3][3] - KNOWN).abs() < 1e-4 * KNOWN);
         let spread = bounded.variance(&walls[0].row) * KNOWN;
         assert!((spread - (1.0 - 2.0 / core::f64::consts::PI)).abs() < 1e-4, "{spread}");

@@ -15,8 +15,6 @@ use crate::register::surface::normal_system::Normal;
 use crate::register::surface::state::{Limits, Problem};
 use core::mem::swap;
 
-/// Standard deviation of the logarithm of l²: a third of l.
-pub(in crate::register::surface) const DECAY_SIGMA: f64 = 0.6;
 /// Largest error of a free height, as a share of its gap to the part.
 const GAP_SHARE: f64 = 0.5;
 /// Standard deviation of a uniform position between two markers, in pitches: 1 / √12.
@@ -252,7 +250,7 @@ impl<'a> GelFit<'a> {
     fn prior_cost(&self, state: &Candidate) -> f64 {
         let mut sum = Normal::ZERO;
         sum.add_prior(&self.problem.prior, &state.placement, self.problem.samples.radius_mm, 1.0);
-        sum.cost + 0.5 * state.rest.log_decay * state.rest.log_decay / (DECAY_SIGMA * DECAY_SIGMA)
+        sum.cost + state.rest.decay_cost()
     }
 
     /// Derivatives of the height of a marker in contact by the unknowns.

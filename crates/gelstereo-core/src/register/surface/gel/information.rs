@@ -13,6 +13,8 @@
 //!   the marker's own position, along the line between the two. The error is the part of it that moves
 //!   the crease beyond the marker, times the difference of the slopes. It is at most that of a crease
 //!   anywhere between the two, 1 / √12 of the distance.
+//! - Gel hangs from an edge instead of following a steep face beyond it. Such a face may lie anywhere below
+//!   the marker, so a marker there has no weight ([`GelFit::may_bridge`]).
 //! - A marker may be out of contact. Contact lifts it over the height of free gel with the same
 //!   neighbours. The error is the part of the pose uncertainty that moves the face below that height. It
 //!   is at most that of a face anywhere down to the rest height, 1 / √3 of the marker's height.
@@ -21,10 +23,10 @@
 //! markers that are surely lifted or surrounded by their own face. The next includes markers whose face
 //! the first ones determine. With further passes a row of markers would confirm itself.
 
-use super::edges::{Bounded, MIN_KNOWN};
+use super::edges::Bounded;
 use super::fit::{BETWEEN, GelFit, LONGEST_MM};
 use super::lattice::Node;
-use super::prediction::{GelFitScratch, Row};
+use super::prediction::{GelFitScratch, Prediction, Row};
 use crate::math::linalg::Symmetric;
 use crate::math::{erfc, exp, sqrt};
 use crate::register::observe::Vector6;
@@ -45,12 +47,13 @@ impl GelFit<'_> {
     /// Leaves the weight of every marker there.
     pub fn information(&self, state: &Candidate, scratch: &mut GelFitScratch) -> Symmetric<6> {
         self.find_walls(state, scratch);
-        let min_information =
-            MIN_KNOWN / (self.problem.params.advanced.gel_scale * self.problem.params.advanced.gel_scale);
+        let sigma = self.problem.params.guess_sigma();
+        let (turn_mm, shift_mm) = (sigma.turn_rad * self.problem.samples.radius_mm, sigma.shift_mm);
+        let guess = core::array::from_fn(|i| if i < 3 { turn_mm } else { shift_mm }).map(|x| 1.0 / (x * x));
         let mut told = None;
         for pass in 1..=PASSES {
             self.count(state, told.as_ref(), pass == PASSES, scratch);
-            told = Some(Bounded::new(&self.sum(state, scratch), min_information, &mut scratch.walls));
+            told = Some(Bounded::new(&self.sum(state, scratch), &guess, &mut scratch.walls));
         }
         told.map_or([[0.0; 6]; 6], |told| told.information(&scratch.walls))
     }
@@ -105,12 +108,33 @@ impl GelFit<'_> {
             let lift_mm = height_mm - gel.free_mm(k, stiffness, &here.heights_mm);
             let max_mm2 = if is_last { height_mm * height_mm / 3.0 } else { f64::INFINITY };
             let hangs_mm2 = match known {
+                _ if self.may_bridge(state, here, k, lift_mm) => f64::INFINITY,
                 Some(known) => square_beyond(lift_mm, sqrt(known.variance(&row))).min(max_mm2),
                 None if alike == ALL_SIDES || lift_mm > SURE * sqrt(sight.variance_mm2) => 0.0,
                 None => max_mm2,
             };
             counts_per_mm2[k] = sight.weight / (sight.variance_mm2 + crosses_mm2 + hangs_mm2);
         }
+    }
+
+    /// Whether free gel could pass over the face at a marker in contact. Beyond a crease from a neighbour in
+    /// contact this face falls, within a pitch, farther below the neighbour's face than the gel does if it is
+    /// free, which is by `lift_mm`.
+    pub(super) fn may_bridge(&self, state: &Candidate, here: &Prediction, k: usize, lift_mm: f64) -> bool {
+        let gel = self.gel();
+        let press = state.placement.object_direction(self.problem.press_direction);
+        let touched = |k: usize| here.sights[k].foot.as_ref().filter(|_| here.sights[k].touches);
+        let slope = |foot: &Foot| {
+            let cosine = foot.normal.dot(press);
+            sqrt((1.0 - cosine * cosine).max(0.0)) / cosine
+        };
+        touched(k).is_some_and(|foot| {
+            gel.near(k).filter_map(|j| Some((j, touched(j)?))).any(|(j, other)| {
+                let pitch_mm = gel.nodes[j].across_mm.distance(gel.nodes[k].across_mm);
+                other.normal.dot(foot.normal) < CREASE_COS
+                    && pitch_mm * (slope(foot) - slope(other)) > lift_mm.max(0.0)
+            })
+        })
     }
 
     /// Mean squared height error of the first of two nodes due to the crease between them.
@@ -140,8 +164,8 @@ impl GelFit<'_> {
             let u = way / sqrt(way_squared);
             let turn = node.sample.p_mm.cross(u) / self.problem.samples.radius_mm;
             let row = [turn.x, turn.y, turn.z, u.x, u.y, u.z];
-            let variance_mm2 = known.variance(&row) + node.sample.variance(u);
-            square_beyond(crosses, sqrt(variance_mm2 / way_squared)).min(anywhere)
+            let variances_mm2 = [known.variance(&row), node.sample.variance(u)];
+            crossing(crosses, variances_mm2, way_squared).min(anywhere)
         });
         slopes[0].distance_squared(slopes[1]) * way_squared * share
     }
@@ -150,6 +174,13 @@ impl GelFit<'_> {
 /// The pose part of a row.
 fn pose_row(row: &Row) -> Vector6 {
     core::array::from_fn(|i| row[i])
+}
+
+/// Mean square of how far the crease lies beyond a marker, as a share of the way to the next one. It is
+/// expected at the share `crosses` of that way. The variances along the way are those of the pose and of the
+/// marker's own position.
+fn crossing(crosses: f64, [pose_mm2, own_mm2]: [f64; 2], way_squared: f64) -> f64 {
+    square_beyond(crosses, sqrt((pose_mm2 + own_mm2) / way_squared))
 }
 
 /// Mean square of the excess of a normal variable over `s`, 0 where it is less.
@@ -164,6 +195,7 @@ fn square_beyond(s: f64, sigma: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::math::random::Stream;
 
     #[test]
     fn the_square_beyond_is_its_integral() {
@@ -178,6 +210,26 @@ mod tests {
             let sum: f64 = (0..steps).map(at).sum();
             // The rule's error is width² / 24 times the slope at its ends, which is zero at the first.
             assert!((square_beyond(s, sigma) - sum).abs() < 1e-9 * sigma * sigma, "{s} {sigma}");
+        }
+    }
+
+    /// Drawn: the pose moves the crease, and the marker is not where it was measured. Of 100 000 draws the
+    /// mean square is known to 2 %, four times over.
+    #[test]
+    fn a_crease_crosses_by_the_pose_and_by_the_marker() {
+        let mut stream = Stream::new(2, "creases");
+        let way_mm = 0.9;
+        for (crosses, pose_mm, own_mm) in
+            [(0.0, 0.1, 0.0), (0.1, 0.1, 0.2), (0.2, 0.02, 0.3), (0.1, 0.2, 0.05)]
+        {
+            let mut squares = 0.0;
+            for _ in 0..100_000 {
+                let moved_mm = pose_mm * stream.normal() - own_mm * stream.normal();
+                let beyond = (moved_mm / way_mm - crosses).max(0.0);
+                squares += beyond * beyond / 1e5;
+            }
+            let found = crossing(crosses, [pose_mm * pose_mm, own_mm * own_mm], way_mm * way_mm);
+            assert!((found / squares - 1.0).abs() < 0.08, "{found} {squares}");
         }
     }
 

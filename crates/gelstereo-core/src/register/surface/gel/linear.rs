@@ -1,9 +1,10 @@
 //! Linear system of a [`GelFit`] step: derivatives of the predicted heights by the unknowns.
 
-use super::fit::{DECAY_SIGMA, GelFit, LAST_SCALE_MM, LONGEST_MM, SWEEPS_A_LOOKUP};
+use super::fit::{GelFit, LAST_SCALE_MM, LONGEST_MM, SWEEPS_A_LOOKUP};
 use super::lattice::Node;
 use super::model::FEW_SWEEPS;
 use super::prediction::{DECAY, GelFitScratch, PLANE, Prediction, Row, Sight, UNKNOWN};
+use super::rest::Rest;
 use crate::math::linalg::{Symmetric, eigen};
 use crate::math::{solve_definite, sqrt};
 use crate::register::observe::dot;
@@ -72,7 +73,7 @@ impl GelFit<'_> {
         for i in PLANE..DECAY {
             h[i][i] += 1.0 / (plane_mm * plane_mm);
         }
-        h[DECAY][DECAY] += 1.0 / (DECAY_SIGMA * DECAY_SIGMA);
+        h[DECAY][DECAY] += Rest::decay_precision();
         (h, g)
     }
 
@@ -173,7 +174,7 @@ impl GelFit<'_> {
                 h[i][k] += (0..6).map(|j| basis[i][j] * prior_h[j][j] * basis[k][j]).sum::<f64>()
             });
         }
-        g[DECAY] -= state.rest.log_decay / (DECAY_SIGMA * DECAY_SIGMA);
+        g[DECAY] -= state.rest.decay_slope();
         let step = solve_definite(&h, &g).filter(|z| z.iter().all(|x| x.is_finite())).map(|z| {
             let length = sqrt(z[..6].iter().map(|x| x * x).sum());
             let longest_mm = self.problem.params.scaled(LONGEST_MM);

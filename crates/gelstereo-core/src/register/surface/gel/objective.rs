@@ -78,7 +78,7 @@ impl GelObjective<'_> {
     /// The first few, and the others if these do not fit.
     fn settle_few(&mut self, search: &mut Search<'_>, candidates: &mut Vec<Candidate>) -> End {
         let samples = search.problem.samples;
-        let rest = Rest { plane_mm: samples.gel.rest_plane(samples.radius_mm), log_decay: 0.0 };
+        let rest = Rest::begin(samples.gel.rest_plane(samples.radius_mm));
         for (slot, candidate) in candidates.iter_mut().enumerate() {
             (candidate.rest, candidate.slot) = (rest, slot);
         }

@@ -65,7 +65,8 @@ impl Prediction {
         mean(self.at_part().map(|s| s.weight * s.square() + 1.0 - s.weight)).unwrap_or(f64::INFINITY)
     }
 
-    /// As [`Self::misfit`], for the markers in contact and those selected by their index. Outliers beyond the expected share are not due to chance; each counts `MAX_SQUARE`.
+    /// As [`Self::misfit`], for the markers in contact and those selected by their index. Outliers beyond the
+    /// expected share are not due to chance; each counts `MAX_SQUARE`.
     pub fn touching_misfit(&self, outlier_share: f64, and: impl Fn(usize) -> bool) -> MeanSquare {
         let tested = || {
             let all = self.sights.iter().enumerate();

@@ -33,8 +33,9 @@ class Contact:
 def contacts(indentation_mm: Array, rows: int, cols: int, threshold_mm: float) -> list[Contact]:
     """Split the salient markers of one frame into contacts, the deepest first.
 
-    A watershed with a minimum prominence. Markers are processed from the deepest to the shallowest, and each joins the
-    contacts among its eight neighbours. Two contacts that meet stay separate if the saddle between them is deep enough.
+    A watershed with a minimum prominence. Markers are processed from the deepest to the shallowest, and each
+    joins the contacts among its eight neighbours. Two contacts that meet stay separate if the saddle between
+    them is deep enough.
 
     Parameters
     ----------

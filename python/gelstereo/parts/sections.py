@@ -1,7 +1,7 @@
 """Closed surfaces from stacks of rings.
 
-Every part is one stack of cross-sections along its axis. Bands of triangles join neighbours, and both ends are closed.
-The result is watertight by construction, without Boolean operations.
+Every part is one stack of cross-sections along its axis. Bands of triangles join neighbours, and both ends
+are closed. The result is watertight by construction, without Boolean operations.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gelstereo._native import MeshError
+from gelstereo.extras import needs
 
 if TYPE_CHECKING:
     import trimesh
@@ -28,22 +29,24 @@ def loft(rings: Sequence[tuple[float, Array]]) -> trimesh.Trimesh:
     Parameters
     ----------
     rings
-        Heights along z, mm, and outlines in the plane across it, (N, 2) mm, counter-clockwise seen from +z, all with
-        the same N >= 3. The first and the last are closed by a fan about their mean, so they must be star-shaped about
-        it. Heights need not increase: two rings at the same height make a step, and a stack that turns back makes a
-        bore.
+        Heights along z, mm, and outlines in the plane across it, (N, 2) mm, counter-clockwise seen from +z,
+        all with the same N >= 3. The first and the last are closed by a fan about their mean, so they must be
+        star-shaped about it. Heights need not increase: two rings at the same height make a step, and a stack
+        that turns back makes a bore.
 
     Raises
     ------
     MeshError
         If the rings do not fit together, or do not enclose a volume.
     """
-    import trimesh
+    with needs(__name__):
+        import trimesh
 
     outlines = [np.asarray(outline, np.float64) for _, outline in rings]
     if len(outlines) < 2 or any(o.ndim != 2 or o.shape != (len(outlines[0]), 2) for o in outlines):
         raise MeshError(
-            f"the rings have the shapes {[o.shape for o in outlines]}; valid is two or more of one shape (N, 2)"
+            f"the rings have the shapes {[o.shape for o in outlines]}; valid is two or more of one shape (N, "
+            "2)"
         )
     count = len(outlines[0])
     if count < 3:
@@ -69,7 +72,8 @@ def loft(rings: Sequence[tuple[float, Array]]) -> trimesh.Trimesh:
     mesh.remove_unreferenced_vertices()
     if not mesh.is_watertight or mesh.volume <= 0.0:
         raise MeshError(
-            f"the rings enclose {mesh.volume:.3g} mm3; valid is a closed surface of counter-clockwise outlines"
+            f"the rings enclose {mesh.volume:.3g} mm3; valid is a closed surface of counter-clockwise "
+            "outlines"
         )
     return mesh
 
