@@ -62,6 +62,7 @@ mod threshold;
 mod track;
 mod track_checked;
 mod track_harsh;
+mod track_scattered;
 mod triangulate;
 mod triangulate_covariance;
 mod windows;

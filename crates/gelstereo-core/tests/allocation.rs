@@ -14,7 +14,7 @@ use gelstereo_core::params::{
     Background, Centre, FindAt, Params, Threshold, TriangulateMethod, TriangulateParams,
 };
 use gelstereo_core::rig::Rig;
-use gelstereo_core::track::{Tracker, Tracks};
+use gelstereo_core::track::{ScatteredTracker, Tracker, Tracks};
 use gelstereo_core::triangulate::{Centres, Triangulator};
 use support::{Dots, paper_lattice, view};
 
@@ -110,6 +110,27 @@ fn tracks_and_sort_allocate_for_the_first_frame_only() {
     };
     frame(1.0);
     assert_eq!((2..20).map(|step| frame(f64::from(step))).sum::<usize>(), 0);
+}
+
+#[test]
+fn scattered_tracks_allocate_at_rest_only() {
+    let (truth, mut stream) = (paper_lattice(), Stream::new(3, "scattered"));
+    let (mut tracker, mut tracks) =
+        (ScatteredTracker::new(&Params::default().track, (640, 480)), Tracks::default());
+    let mut markers = Markers::at(truth.to_vec(), 0.1);
+    tracker.initialise(&markers, 800, &mut tracks).unwrap();
+    // Small steps, steps beyond the gate, and clutter.
+    let mut frame = |shift_px: f64, clutter: usize| {
+        for (n, (centre, &at)) in markers.centres_px.iter_mut().zip(&truth).enumerate() {
+            let elsewhere = DVec2::new(stream.uniform() * 640.0, stream.uniform() * 480.0);
+            *centre = if n < clutter { elsewhere } else { at + shift_px };
+        }
+        allocations(|| {
+            let _ = tracker.run(&markers, &mut tracks);
+        })
+    };
+    let steps = [(1.0, 0), (3.0, 40), (30.0, 0), (0.0, 600), (5.0, 100)];
+    assert_eq!(steps.map(|(shift_px, clutter)| frame(shift_px, clutter)), [0; 5]);
 }
 
 #[test]

@@ -9,7 +9,7 @@ const REACH: usize = 2;
 
 /// Affine map of the plane: least squares over pairs of points.
 #[derive(Clone, Copy, Debug, Default)]
-struct Affine {
+pub(super) struct Affine {
     count: f64,
     from: DVec2,
     to: DVec2,
@@ -21,7 +21,7 @@ struct Affine {
 
 impl Affine {
     /// Fits pairs (source, target). The order of the pairs affects rounding, so it must be fixed.
-    fn fit(pairs: impl Iterator<Item = (DVec2, DVec2)> + Clone) -> Self {
+    pub fn fit(pairs: impl Iterator<Item = (DVec2, DVec2)> + Clone) -> Self {
         let mut fit = Self::default();
         for (from, to) in pairs.clone() {
             fit.count += 1.0;
@@ -42,7 +42,7 @@ impl Affine {
     }
 
     /// Images of the unit vectors, if the sources span the plane well.
-    fn columns(&self) -> Option<[DVec2; 2]> {
+    pub fn columns(&self) -> Option<[DVec2; 2]> {
         let [xx, xy, yy] = self.moments;
         let determinant = xx * yy - xy * xy;
         // Accepts sources at most about five times as long as wide.
@@ -51,7 +51,7 @@ impl Affine {
         spans.then(|| [(x * yy - y * xy) / determinant, (y * xx - x * xy) / determinant])
     }
 
-    fn apply(&self, [x, y]: [DVec2; 2], from: DVec2) -> DVec2 {
+    pub fn apply(&self, [x, y]: [DVec2; 2], from: DVec2) -> DVec2 {
         let d = from - self.from;
         self.to + x * d.x + y * d.y
     }
@@ -107,7 +107,7 @@ impl Interpolator {
     }
 }
 
-fn pairs<'a>(
+pub(super) fn pairs<'a>(
     rest_px: &'a [DVec2],
     now_px: &'a [DVec2],
     markers: impl Iterator<Item = usize> + Clone + 'a,

@@ -6,9 +6,11 @@ mod interpolate;
 mod matching;
 mod pitch_shift;
 mod relabel;
+mod scattered;
 mod verified;
 mod window_detections;
 
+pub use scattered::{MIN_MARKERS, ScatteredTracker, TooFewMarkers};
 pub use verified::{Certainty, VerifiedTracker};
 
 use crate::detect::Markers;
@@ -92,22 +94,27 @@ impl Tracks {
     /// Starts from a labelled rest frame and its detections; a filled-in position has a standard
     /// deviation of `unknown_px`.
     fn initialise(&mut self, rest: &RestLattice, detected: &Markers, unknown_px: f64) {
-        self.positions_px.clone_from(&rest.positions_px);
         let unknown = [[unknown_px * unknown_px, 0.0], [0.0, unknown_px * unknown_px]];
         self.covariance_px2.clear();
         self.covariance_px2.extend(
             rest.detection.iter().map(|d| d.map_or(unknown, |m| detected.covariance_px2[m as usize])),
         );
-        let held = rest.detection.iter().map(Option::is_none);
+        self.start(&rest.positions_px, rest.detection.iter().map(Option::is_none));
+    }
+
+    /// Starts at rest positions, of which some may be filled in; covariances are already set.
+    fn start(&mut self, rest_px: &[DVec2], held: impl Iterator<Item = bool> + Clone) {
+        self.positions_px.clear();
+        self.positions_px.extend_from_slice(rest_px);
         self.state.clear();
         self.state.extend(held.clone().map(|held| if held { MarkerState::Held } else { MarkerState::Seen }));
         self.unseen_frames.clear();
-        self.unseen_frames.extend(held.map(|held| if held { NEVER_SEEN } else { 0 }));
+        self.unseen_frames.extend(held.clone().map(|held| if held { NEVER_SEEN } else { 0 }));
         self.own_px.clear();
-        self.own_px.resize(rest.positions_px.len(), DVec2::ZERO);
-        self.previous_px.clone_from(&rest.positions_px);
+        self.own_px.resize(rest_px.len(), DVec2::ZERO);
+        self.previous_px.clone_from(&self.positions_px);
         self.missed_frames.clear();
-        self.missed_frames.extend(rest.detection.iter().map(|d| u32::from(d.is_none())));
+        self.missed_frames.extend(held.map(u32::from));
         (self.steady, self.stale) = (false, false);
     }
 
