@@ -85,8 +85,8 @@ def test_a_declared_symmetry_gives_the_copy_nearest_to_the_guess(box: Template) 
 @pytest.mark.parametrize("decay_mm", [1.0, 3.0, 0.1])
 def test_the_misfit_is_told_where_the_gel_is_asked(box: Template, decay_mm: float) -> None:
     truth, salient, everything = corner(0.02)
-    # The gel beside the box is at rest at once. The fit estimates the decay: it follows from 1 mm (0.32), and not
-    # from 3 mm (1.75). A gel of 0.1 mm has no model.
+    # The gel beside the box is at rest at once. The fit estimates the decay: it follows from 1 mm (0.32),
+    # and not from 3 mm (1.75). A gel of 0.1 mm has no model.
     params = Params().replace({"contact.decay_mm": decay_mm})
     localizer = Localizer(box, guess=truth, params=params)
     for tracking in ("relocalized", "tracking"):

@@ -39,6 +39,7 @@ __all__ = [
     "LayerSolution",
     "Localization",
     "Localizer",
+    "MarkerTracker",
     "Markers",
     "MeshError",
     "Params",
@@ -69,6 +70,7 @@ __all__ = [
     "TaraRequest",
     "Template",
     "TemplateError",
+    "TrackedMarkers",
     "TriangulateError",
     "ViewEvidence",
     "__version__",
@@ -261,6 +263,34 @@ class Detector:
     ) -> Detector: ...
     def detect(self, image: npt.NDArray[np.uint8]) -> Markers: ...
     def mask(self, image: npt.NDArray[np.uint8]) -> npt.NDArray[np.bool_]: ...
+
+@final
+class TrackedMarkers:
+    @property
+    def positions_px(self) -> _Floats: ...
+    @property
+    def rest_px(self) -> _Floats: ...
+    @property
+    def displacement_px(self) -> _Floats: ...
+    @property
+    def covariance_px2(self) -> _Floats: ...
+    @property
+    def state(self) -> npt.NDArray[np.uint8]: ...
+    @property
+    def is_certain(self) -> bool: ...
+    @property
+    def channel(self) -> Literal["grey", "red", "green", "blue"]: ...
+    def __len__(self) -> int: ...
+
+@final
+class MarkerTracker:
+    def __new__(
+        cls, params: Params | None = None, view: Literal["left", "right"] | None = None
+    ) -> MarkerTracker: ...
+    @property
+    def spacing_px(self) -> float | None: ...
+    def process(self, image: npt.NDArray[np.uint8]) -> TrackedMarkers: ...
+    def reset(self) -> None: ...
 
 @final
 class RestLattice:

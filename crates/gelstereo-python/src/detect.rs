@@ -104,10 +104,26 @@ pub struct Detector {
 impl Detector {
     /// The channel of `detect.channel`, chosen by this image if that is ``"auto"``.
     fn channel(&self, image: &Image<'_>) -> PyResult<Channel> {
-        match (image, self.params.channel) {
-            (Image::Grey(_), _) => Ok(Channel::Grey),
-            (Image::Color(_), Channel::Auto) => image.best_channel(&self.params),
-            (Image::Color(_), channel) => Ok(channel),
+        match (image, fixed_channel(&self.params)) {
+            (Image::Color(_), Some(channel)) => Ok(channel),
+            _ => image.best_channel(&self.params),
+        }
+    }
+}
+
+/// The channel of the settings, unless the images determine it.
+pub fn fixed_channel(params: &DetectParams) -> Option<Channel> {
+    Some(params.channel).filter(|&channel| channel != Channel::Auto)
+}
+
+/// Region of interest of a view of the settings; `None` for the whole image.
+pub fn roi_px(params: &DetectParams, view: Option<&str>) -> PyResult<Option<[usize; 4]>> {
+    match view {
+        None => Ok(None),
+        Some("left") => Ok(params.roi.left_px),
+        Some("right") => Ok(params.roi.right_px),
+        Some(other) => {
+            Err(PyValueError::new_err(format!("the view is {other:?}; valid are 'left' and 'right'")))
         }
     }
 }
@@ -118,16 +134,7 @@ impl Detector {
     #[pyo3(signature = (params=None, view=None))]
     fn new(params: Option<&Bound<'_, Params>>, view: Option<&str>) -> PyResult<Self> {
         let params = Params::or_default(params).detect;
-        let roi_px = match view {
-            None => None,
-            Some("left") => params.roi.left_px,
-            Some("right") => params.roi.right_px,
-            Some(other) => {
-                return Err(PyValueError::new_err(format!(
-                    "the view is {other:?}; valid are 'left' and 'right'"
-                )));
-            }
-        };
+        let roi_px = roi_px(&params, view)?;
         Ok(Self { stage: Box::new(Mutex::new(core::Detector::new(&params).within(roi_px))), params })
     }
 

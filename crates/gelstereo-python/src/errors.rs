@@ -64,6 +64,15 @@ macro_rules! stage_errors {
     };
 }
 
+impl ToPython for core::pipeline::MarkerTrackerError {
+    fn to_python(&self) -> PyErr {
+        match self {
+            Self::Size { .. } => ImageError::new_err(self.to_string()),
+            Self::Detect(_) | Self::TooFew(_) => DetectError::new_err(self.to_string()),
+        }
+    }
+}
+
 stage_errors! {
     core::params::ParamsError => ParamsError,
     core::rig::RigError => RigError,

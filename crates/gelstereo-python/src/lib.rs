@@ -20,6 +20,7 @@ mod interrupt;
 mod lattice;
 mod layer;
 mod localizer;
+mod marker_tracker;
 mod notebook;
 mod params;
 mod pickle;
@@ -72,6 +73,8 @@ mod _native {
     use crate::layer::{LayerContact, LayerSolution};
     #[pymodule_export]
     use crate::localizer::Localizer;
+    #[pymodule_export]
+    use crate::marker_tracker::{MarkerTracker, TrackedMarkers};
     #[pymodule_export]
     use crate::params::Params;
     #[pymodule_export]

@@ -2,6 +2,7 @@
 
 use crate::arrays::{self, Array1, Image, Matrix};
 use crate::contact::{RestSurface, RuleName, rule_name};
+use crate::detect::fixed_channel;
 use crate::errors::{PitchWarning, raise};
 use crate::notebook;
 use crate::params::Params;
@@ -250,7 +251,7 @@ impl Pipeline {
     fn new(py: Python<'_>, rig: Py<Rig>, params: Option<&Bound<'_, Params>>) -> PyResult<Self> {
         let params = Params::or_default(params);
         let stages = core::Pipeline::new(&rig.get().inner, &params).map_err(raise)?;
-        let channel = fixed_channel(&params);
+        let channel = fixed_channel(&params.detect);
         Ok(Self {
             stages: Box::new(Mutex::new(stages)),
             channel: Mutex::new(channel),
@@ -344,7 +345,7 @@ impl Pipeline {
 
     /// Clear tracks, rest surface and reference: the next frame is the rest frame.
     fn reset(&self, py: Python<'_>) {
-        *self.locked_channel() = fixed_channel(&self.params.get().inner);
+        *self.locked_channel() = fixed_channel(&self.params.get().inner.detect);
         py.detach(|| self.lock().reset());
     }
 
@@ -443,11 +444,6 @@ impl Pipeline {
         }
         Frame::new(py, frame)
     }
-}
-
-/// The channel of the settings, unless the images determine it.
-fn fixed_channel(params: &gelstereo_core::params::Params) -> Option<Channel> {
-    Some(params.detect.channel).filter(|&channel| channel != Channel::Auto)
 }
 
 /// Runs both to completion, the second on its own thread.

@@ -6,6 +6,7 @@ mod discs;
 mod epipolar;
 mod error;
 mod frame;
+mod marker_tracker;
 mod pitch;
 mod rest_record;
 mod resume;
@@ -14,6 +15,7 @@ mod windows;
 
 pub use error::{PipelineError, View};
 pub use frame::{Frame, LabelSource, Searched, Touch, ViewEvidence};
+pub use marker_tracker::{MarkerTracker, MarkerTrackerError};
 pub use pitch::PitchCheck;
 pub use rest_record::{RestRecord, RestRecordError, RestView};
 
