@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 OUT ?= out
 HOST := $(CURDIR)/target/release/gelstereo-host
 
-.PHONY: demo test test-rust test-python test-long same-bits long-builds explore fuzz experiment frontier docs dist clean prerequisites
+.PHONY: demo test lint test-rust test-python test-long same-bits long-builds explore fuzz experiment frontier docs dist clean prerequisites
 
 demo: prerequisites $(BIN)/python
 	$(BIN)/pip install --quiet '.[recording]'
@@ -24,13 +24,15 @@ test: prerequisites test-rust test-python
 test-rust: export PROPTEST_RNG_SEED ?= 20211
 explore: export PROPTEST_CASES ?= 200
 
-# Lints first: they fail soonest.
 test-rust: prerequisites
 	$(PYTHON) .ci/imports.py crates/gelstereo-core/src
 	cargo fmt --all --check
 	@! git grep -nP '^.{111,}' -- '*.rs' || { echo 'the lines above have more than 110 columns'; exit 1; }
-	cargo clippy --workspace --all-targets --quiet -- -D warnings
 	cargo test --workspace --quiet
+
+# Checks that compile everything once more; `make test-long` runs them too.
+lint: prerequisites
+	cargo clippy --workspace --all-targets --quiet -- -D warnings
 	cargo build --quiet --manifest-path tests/no_std_probe/Cargo.toml --target-dir target/no_std_probe
 	RUSTDOCFLAGS="-D warnings" cargo doc --workspace --no-deps --quiet
 
@@ -56,7 +58,7 @@ ROS_PEER := $(CURDIR)/target/ros_peer
 test-long: export GELSTEREO_HOST := $(HOST)
 test-long: export GELSTEREO_HOST_LIVE := $(LIVE_HOST)
 test-long: export GELSTEREO_ROS_PEER := $(ROS_PEER)/debug/ros-peer
-test-long: prerequisites $(BIN)/python
+test-long: prerequisites $(BIN)/python lint
 	@.ci/long-prerequisites.sh
 	$(BIN)/pip install --quiet '.[test,long]' './bench[batch,physics]'
 	cargo build --release --quiet -p gelstereo-host --bins --example world_server
