@@ -192,18 +192,21 @@ def _budget_table(contacts: Sequence[Grasp], rounds: int) -> Table:
     rows = []
     for name, method in methods.items():
         found = [f"{_tally(method, contacts, start).rate:.1f}" for start in STARTS]
-        ends = [
-            grasp.registered(grasp.guess(STARTS[1], seed), params[name])
-            for seed, grasp in enumerate(contacts)
-        ]
-        shares = [
-            f"{100.0 * float(np.mean(share)):.0f}"
-            for share in ([end.converged for end in ends], [end.alternatives_cut for end in ends])
-        ]
+        ends = [_end(grasp, grasp.guess(STARTS[1], seed), params[name]) for seed, grasp in enumerate(contacts)]
+        shares = [f"{100.0 * float(share):.0f}" for share in np.mean(ends, axis=0)]
         took = (f"{times[name].median_ms:.1f}", f"{times[name].p99_ms:.1f}")
         rows.append([name, " / ".join(found), *shares, *took])
     head = ["budget", "success, %", "converged, %", "may have more answers, %", "median ms", "p99 ms"]
     return Table("budgets", head, rows)
+
+
+def _end(grasp: Grasp, guess: Array, params: Params) -> tuple[bool, bool]:
+    """Whether a search converged, and whether it may have more answers; neither if it refuses."""
+    try:
+        found = grasp.registered(guess, params)
+    except Error:
+        return False, False
+    return found.converged, found.alternatives_cut
 
 
 def _parts_table(methods: Mapping[str, Method], tallies: Mapping[tuple[str, str, str], Tally]) -> Table:

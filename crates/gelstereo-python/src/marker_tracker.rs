@@ -23,8 +23,8 @@ pub struct TrackedMarkers {
     /// (N, 2) displacements since the rest image, pixels.
     #[pyo3(get)]
     displacement_px: Matrix,
-    /// (N, 2, 2) covariances of the positions, px². That of a held marker follows from the errors with which its
-    /// neighbours are interpolated.
+    /// (N, 2, 2) covariances of the positions, px². That of a held marker follows from the errors with which
+    /// its neighbours are interpolated.
     #[pyo3(get)]
     covariance_px2: Py<PyArray3<f64>>,
     /// (N,) `MarkerState` of each marker.
@@ -57,8 +57,8 @@ impl TrackedMarkers {
 ///
 /// The first image is the rest image, and its markers keep their order. A match must agree with those of its
 /// neighbours. If two common displacements explain an image about equally well, or none explains half of the
-/// markers, nothing is identified. A regular print that reaches beyond the view looks the same after a step of
-/// a whole pitch, so the frame rate must exclude such steps.
+/// markers, nothing is identified. A regular print that reaches beyond the view looks the same after a step
+/// of a whole pitch, so the frame rate must exclude such steps.
 ///
 /// Parameters
 /// ----------

@@ -53,8 +53,8 @@ impl core::error::Error for TooFewMarkers {}
 /// their order.
 ///
 /// Each frame is matched to the prediction (`track.motion`), with `track.gate_pitches` in units of the
-/// spacing: the median distance of a marker from its nearest neighbour at rest. Matches that move unlike their
-/// neighbours are dropped, and rematched from those that agree. If markers remain unmatched, common
+/// spacing: the median distance of a marker from its nearest neighbour at rest. Matches that move unlike
+/// their neighbours are dropped, and rematched from those that agree. If markers remain unmatched, common
 /// displacements of up to three spacings are tried too, and the one that explains more markers is taken. If
 /// two explain about as many, or none explains half of them, all markers are held.
 ///
@@ -237,8 +237,8 @@ impl ScatteredTracker {
     }
 
     /// Moves each unseen marker by the affine map from the rest positions of its known neighbours to their
-    /// present ones, starting beside the seen ones. Its covariance follows from the errors of the same rule at
-    /// these neighbours, each left out in turn.
+    /// present ones, starting beside the seen ones. Its covariance follows from the errors of the same rule
+    /// at these neighbours, each left out in turn.
     fn interpolate(&mut self, out: &mut Tracks) {
         let Self { neighbours, rest_px, known, round, .. } = self;
         known.clear();

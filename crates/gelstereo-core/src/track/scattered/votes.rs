@@ -8,8 +8,8 @@ use alloc::vec::Vec;
 /// Largest displacement per axis, in spacings.
 const REACH: f64 = 3.0;
 
-/// Cells per spacing and axis, and cells per axis. Two cells are half a spacing: wider ones hold votes for two
-/// displacements of a regular print.
+/// Cells per spacing and axis, and cells per axis. Two cells are half a spacing: wider ones hold votes for
+/// two displacements of a regular print.
 const PER_SPACING: f64 = 4.0;
 const SIDE: usize = (2.0 * REACH * PER_SPACING) as usize;
 
