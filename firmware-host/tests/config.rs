@@ -174,3 +174,39 @@ fn a_real_mesh_in_metres_read_as_millimetres_is_refused_with_a_guess() {
     let message = load("mm").unwrap_err().to_string();
     assert!(message.ends_with("(is the file in \"m\"?)"), "{message}");
 }
+
+/// A sensor file gives rig, preset and settings; the configuration's own settings take precedence.
+#[test]
+fn a_sensor_file_completes_a_configuration() {
+    let folder = tempfile::tempdir().unwrap();
+    let write = |name: &str, text: &str| std::fs::write(folder.path().join(name), text).unwrap();
+    let rig = toml::to_string(&gelstereo_sim::Scene::default_rig()).unwrap().replace("\n[", "\n[rig.");
+    let rig = rig.strip_prefix('[').map_or_else(|| rig.clone(), |rest| format!("[rig.{rest}"));
+    let sensor =
+        format!("preset = \"exact\"\n[gel]\nrows = 19\n[params.lattice]\npitch_mm = 0.92\nrows = 19\n{rig}");
+    write("sensor.toml", &sensor);
+    write("cell.toml", "sensor_file = \"sensor.toml\"\n[params.lattice]\nrows = 25\n");
+    let config = Config::load(&folder.path().join("cell.toml")).unwrap();
+    let exact = Params::preset("exact").unwrap();
+    assert_eq!(config.preset, "exact");
+    assert_eq!((config.params.lattice.pitch_mm, config.params.lattice.rows), (0.92, Some(25)));
+    assert_eq!(config.params.detect, exact.detect);
+    assert_eq!(config.rig, Some(gelstereo_sim::Scene::default_rig()));
+    // What is printed of it needs no sensor file.
+    assert_eq!(Config::parse(&config.to_toml().unwrap(), "printed").unwrap(), config);
+
+    write("cell.toml", "sensor_file = \"sensor.toml\"\npreset = \"fast\"\n[params.lattice]\nrows = 25");
+    assert_eq!(Config::load(&folder.path().join("cell.toml")).unwrap().preset, "fast");
+    let failed = |sensor: &str, cell: &str| {
+        write("sensor.toml", sensor);
+        write("cell.toml", cell);
+        Config::load(&folder.path().join("cell.toml")).unwrap_err().to_string()
+    };
+    let cell = "sensor_file = \"sensor.toml\"";
+    let twice = failed(&sensor, &format!("{cell}\nrig_file = \"rig.toml\""));
+    assert!(twice.contains("sensor_file has a rig of its own"), "{twice}");
+    let none = failed("preset = \"exact\"", cell);
+    assert!(none.contains("sensor.toml") && none.contains("rig"), "{none}");
+    let unknown = failed(&sensor.replace("pitch_mm", "pich_mm"), cell);
+    assert!(unknown.contains("pich_mm"), "{unknown}");
+}

@@ -192,7 +192,9 @@ def _budget_table(contacts: Sequence[Grasp], rounds: int) -> Table:
     rows = []
     for name, method in methods.items():
         found = [f"{_tally(method, contacts, start).rate:.1f}" for start in STARTS]
-        ends = [_end(grasp, grasp.guess(STARTS[1], seed), params[name]) for seed, grasp in enumerate(contacts)]
+        ends = [
+            _end(grasp, grasp.guess(STARTS[1], seed), params[name]) for seed, grasp in enumerate(contacts)
+        ]
         shares = [f"{100.0 * float(share):.0f}" for share in np.mean(ends, axis=0)]
         took = (f"{times[name].median_ms:.1f}", f"{times[name].p99_ms:.1f}")
         rows.append([name, " / ".join(found), *shares, *took])

@@ -13,6 +13,7 @@ mod recording;
 pub mod reference;
 mod robot;
 mod sense;
+mod sensor;
 mod simulated;
 mod source;
 mod task;
@@ -34,6 +35,7 @@ use gelstereo_core::math::{DVec3, Pose};
 use gelstereo_core::params::{Channel, Params};
 use gelstereo_core::rig::Rig;
 use gelstereo_sim::{Gel, Scene, Shape};
+use sensor::SensorFile;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -48,6 +50,11 @@ pub struct Config {
     /// folder. Default: none. Set it for real images, to what `gelstereo calibrate` wrote.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rig_file: Option<PathBuf>,
+    /// File with rig, preset and settings of a sensor; not together with `rig` and `rig_file`. Settings of
+    /// this configuration take precedence. A relative path starts at the configuration's folder. Default:
+    /// none. Set it for real images, to what `gelstereo setup` wrote.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sensor_file: Option<PathBuf>,
     /// Source of stereo pairs. Default: the simulated sensor.
     pub source: SourceConfig,
     /// The gripper. Default: the simulated one.
@@ -88,6 +95,7 @@ impl Default for Config {
         Self {
             preset: DEFAULT_PRESET.to_owned(),
             rig_file: None,
+            sensor_file: None,
             source: SourceConfig::default(),
             gripper: GripperConfig::default(),
             robot: RobotConfig::default(),
@@ -114,8 +122,14 @@ impl Config {
         let read = |path: &Path| {
             std::fs::read_to_string(path).map_err(|error| ConfigError::Read { path: path.to_owned(), error })
         };
-        let mut config = Self::parse(&read(path)?, &path.display().to_string())?;
+        let (text, origin) = (read(path)?, path.display().to_string());
+        let mut config = Self::parse(&text, &origin)?;
         let folder = path.parent().unwrap_or(Path::new(""));
+        if let Some(file) = config.sensor_file.take() {
+            let file = folder.join(file);
+            let sensor = SensorFile::parse(&read(&file)?, &file.display().to_string())?;
+            sensor.complete(&text, &origin, &mut config)?;
+        }
         if let Some(file) = config.rig_file.take() {
             if config.rig.is_some() {
                 return Err(ConfigError::RigSource {

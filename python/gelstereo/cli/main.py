@@ -22,6 +22,7 @@ COMMANDS = {
         "images of the sensor's own markers to the pose and index of its gel",
     ),
     "inspect": ("gelstereo.cli.inspect", "an image of a gel to what it shows, and the settings for it"),
+    "setup": ("gelstereo.setup.command", "images of a new sensor to one sensor file and a report"),
     "localize": ("gelstereo.cli.localize", "a point cloud or stereo images, and a template, to a pose"),
     "template": ("gelstereo.cli.template", "a part's mesh, checked, to a template and a picture of it"),
     "simulate": ("gelstereo.cli.simulate", "a scene to stereo images with their truth"),

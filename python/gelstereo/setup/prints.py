@@ -1,0 +1,58 @@
+"""Second step: the print, from the first images at rest."""
+
+from __future__ import annotations
+
+from gelstereo.cli.files import read_color_image
+from gelstereo.extras import needs
+from gelstereo.inspection import inspect
+from gelstereo.inspection.picture import draw_inspection
+from gelstereo.setup.plan import Plan
+from gelstereo.setup.step import Figure, Step
+
+with needs(__name__):
+    import cv2
+
+__all__ = ["look"]
+
+#: Dots that differ less from the gel, in units of the pixels' noise, are measured badly: the error of a
+#: centre is inverse to this ratio.
+MIN_CONTRAST = 10.0
+
+
+def look(plan: Plan) -> Step:
+    """Inspect the print in both views, and choose the settings from the left one."""
+    views = {"left": plan.rest.left[0], "right": plan.rest.right[0]}
+    images = {view: read_color_image(path) for view, path in views.items()}
+    found = {view: inspect(image, preset=plan.preset) for view, image in images.items()}
+    figures, doubts = [], []
+    for view, seen in found.items():
+        layout = seen.layout
+        figures += [
+            Figure(f"{view}: dots", f"{len(seen.dots_px)} {seen.polarity} ones of {seen.dot_px:.1f} px"),
+            Figure(f"{view}: rows x columns", f"{layout.rows} x {layout.cols}, {layout.kind}"),
+            Figure(
+                f"{view}: contrast over noise", f"{seen.contrast / max(seen.noise, 0.1):.0f}", "10 or more"
+            ),
+        ]
+        if seen.contrast < MIN_CONTRAST * seen.noise:
+            doubts.append(f"the dots of the {view} view are faint: use more light or a longer exposure")
+        if layout.kind != "square":
+            doubts.append(
+                f"the print of the {view} view is {layout.kind}: the pipeline needs a square lattice"
+            )
+        elif not layout.is_whole:
+            doubts.append(f"the print reaches beyond the {view} view: its border rows are not counted")
+    left = found["left"]
+    if left.channel != found["right"].channel:
+        doubts.append(
+            f"the print shows best in {left.channel} in the left view, and otherwise in the right one"
+        )
+    settings = {**left.settings, "lattice.pitch_mm": plan.pitch_mm}
+    _, content = cv2.imencode(".png", draw_inspection(images["left"], left))
+    values = {
+        "settings": settings,
+        "noise_levels": left.noise,
+        "dot_px": left.dot_px,
+    }
+    caption = "Left view at rest. Dots on the lattice have green rings, others red ones."
+    return Step("print", "Print", tuple(figures), tuple(doubts), (), values, content.tobytes(), caption)

@@ -1,0 +1,84 @@
+"""The steps of a setup, in order.
+
+A finished step is stored, and used again while its inputs are the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+from gelstereo._native import Rig, __version__
+from gelstereo.setup import cameras, gel, layers, prints
+from gelstereo.setup.plan import Plan
+from gelstereo.setup.report import write_report
+from gelstereo.setup.sensor import sensor_text
+from gelstereo.setup.step import Step, digest_of, load_step, save_step
+
+__all__ = ["set_up"]
+
+
+def set_up(plan: Plan, output: str | Path, report: Callable[[str], None] = lambda _: None) -> list[Step]:
+    """Run all steps, and write ``sensor.toml`` and ``report.html`` into a folder.
+
+    Parameters
+    ----------
+    plan
+        Images and facts.
+    output
+        Folder; its subfolder ``steps`` holds finished steps. A step runs again if its images, its settings,
+        an earlier step or the version of gelstereo differ.
+    report
+        Called with a line of text at each step.
+
+    Returns
+    -------
+    list of Step
+        Results. A step in doubt does not stop the setup.
+
+    Raises
+    ------
+    Error
+        A step has no result, for example because a board is not found. Earlier steps are kept.
+    """
+    output = Path(output)
+    steps: list[Step] = []
+    digest = ""
+
+    def run(name: str, files: Iterable[Path], settings: object, make: Callable[[], Step]) -> Step:
+        nonlocal digest
+        digest = digest_of(__version__, files, digest, name, settings)
+        path = output / "steps" / f"{len(steps) + 1}-{name}.json"
+        step = load_step(path, digest)
+        if step is None:
+            report(f"{name} ...")
+            step = make()
+            save_step(path, step, digest)
+        report(str(step))
+        steps.append(step)
+        return step
+
+    found = run("cameras", _files(plan.cameras), plan.board, lambda: cameras.calibrate(plan))
+    rig = Rig.from_toml(found.values["rig"])
+    settings = run(
+        "print", _files(plan.rest), (plan.preset, plan.pitch_mm), lambda: prints.look(plan)
+    ).values["settings"]
+    images = [path for _, views in plan.boards for path in _files(views)]
+    facts = (plan.layers, plan.priors, [height_mm for height_mm, _ in plan.boards])
+    found = run("layers", images, facts, lambda: layers.fit(plan, rig, settings))
+    rig = Rig.from_toml(found.values["rig"])
+    values: dict[str, Any] = dict(run("rest", (), None, lambda: gel.rest(plan, rig, settings)).values["gel"])
+    if plan.presses is not None:
+        found = run("presses", _files(plan.presses), None, lambda: gel.presses(plan, rig, settings))
+        values |= found.values["gel"]
+        if found.is_good:
+            settings = {**settings, "contact.decay_mm": values["decay_mm"]}
+    path = output / "sensor.toml"
+    path.write_text(sensor_text(rig, plan.preset, settings, values), encoding="utf-8")
+    write_report(output / "report.html", steps)
+    return steps
+
+
+def _files(views: Any) -> tuple[Path, ...]:
+    return (*views.left, *views.right)

@@ -1,0 +1,146 @@
+"""`gelstereo setup`: from images of a simulated sensor to its sensor file, against the simulated truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from own_sensor import GEL, LAYERS, PEG, PEG_MM, PEG_RAD, press, true_rig, write, write_own_sensor
+
+import gelstereo as gs
+from gelstereo.cli.main import main
+from gelstereo.setup import Plan, PlanError, Step, load_sensor, set_up
+from gelstereo.setup.plan import EXAMPLE
+from gelstereo.setup.sensor import SensorFileError
+
+REST_FRAMES = 12
+
+
+@pytest.fixture(scope="module")
+def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Images of the tutorial's sensor, twelve pairs at rest, and the plan of the example with its boards."""
+    folder = tmp_path_factory.mktemp("sensor")
+    write_own_sensor(folder)
+    rest = press(PEG, 33.0, PEG_MM[2], PEG_RAD)
+    for n in range(REST_FRAMES):
+        pair = rest.press(frame=n)
+        write(pair, folder / "gel" / f"rest_left{n:02}.png", folder / "gel" / f"rest_right{n:02}.png")
+    for view in ("left", "right"):
+        (folder / "gel" / f"rest_{view}.png").unlink()
+    second = (
+        '[[boards]]\nheight_mm = 1.8\nleft = "gel/board_1.8_left.png"\nright = "gel/board_1.8_right.png"\n'
+    )
+    (folder / "plan.toml").write_text(EXAMPLE.replace("# A part pressed", second + "\n# A part pressed"))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def output(images: Path) -> Path:
+    return images / "out"
+
+
+@pytest.fixture(scope="module")
+def steps(images: Path, output: Path) -> list[Step]:
+    return set_up(Plan.load(images / "plan.toml"), output)
+
+
+def test_every_step_of_a_good_sensor_is_good(steps: list[Step], output: Path) -> None:
+    assert [step.name for step in steps] == ["cameras", "print", "layers", "rest", "presses"]
+    assert [str(step) for step in steps if not step.is_good] == []
+    page = (output / "report.html").read_text()
+    assert "All steps are good." in page and "data:image/png" in page and "decay length" in page
+
+
+def test_the_sensor_file_has_the_simulated_truth(steps: list[Step], output: Path) -> None:
+    sensor = load_sensor(output / "sensor.toml")
+    found = sensor.rig.layers
+    assert found is not None and abs(found["gel_index"] - LAYERS["gel_index"]) < 0.01
+    assert abs(found["gap_mm"] - LAYERS["gap_mm"]) < 0.1
+    assert (sensor.gel["rows"], sensor.gel["cols"]) == (GEL["rows"], GEL["cols"])
+    assert abs(sensor.gel["surface_mm"] - GEL["surface_mm"]) < 0.1
+    assert abs(sensor.gel["dot_radius_mm"] - GEL["dot_radius_mm"]) < 0.03
+    assert abs(sensor.gel["noise_levels"] - 2.0) < 0.5
+    assert 0.001 < sensor.gel["point_sigma_mm"] < 0.02
+    assert sensor.gel["decay_sigma_mm"] < 0.5 * sensor.gel["decay_mm"]
+
+
+def test_a_part_is_localized_with_the_sensor_file_alone(
+    steps: list[Step], images: Path, output: Path
+) -> None:
+    sensor = load_sensor(output / "sensor.toml")
+    pipeline = gs.Pipeline(sensor.rig, sensor.params)
+    for left, right in Plan.load(images / "plan.toml").presses.pairs:  # type: ignore[union-attr]
+        frame = pipeline.process(*(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in (left, right)))
+    peg = gs.Template.from_mesh(images / "peg.stl", units="mm")
+    truth = np.array(gs.geometry.se3_exp([*PEG_RAD, 0.0, 0.0, 0.0]))
+    truth[:3, 3] = PEG_MM
+    found = gs.localize(frame, peg, guess=truth, params=sensor.params)
+    off_mm = np.asarray(found.t_sensor_object)[:3, 3] - PEG_MM
+    # Along its axis, y of the sensor, the peg may slide.
+    assert found.verdict == "fits" and np.abs(off_mm[[0, 2]]).max() < 0.1
+
+
+def test_the_digital_twin_has_the_sensors_markers(steps: list[Step], output: Path) -> None:
+    sensor = load_sensor(output / "sensor.toml")
+    twin = gs.Simulator(sensor.scene())
+    pair = twin.press()
+    frame = gs.Pipeline(sensor.rig, sensor.params).process(pair.left, pair.right)
+    real = gs.Pipeline(true_rig(), sensor.params)
+    true = press(PEG, 33.0, PEG_MM[2], PEG_RAD).press()
+    truth = real.process(true.left, true.right)
+    assert np.abs(np.asarray(frame.points_mm) - truth.points_mm).max() < 0.25
+
+
+def test_a_repeated_setup_runs_only_what_has_changed(steps: list[Step], images: Path, output: Path) -> None:
+    lines: list[str] = []
+    plan = Plan.load(images / "plan.toml")
+    assert set_up(plan, output, lines.append) == steps
+    assert not [line for line in lines if line.endswith("...")]
+    # A damaged step is made anew, and what follows is taken again.
+    (output / "steps" / "2-print.json").write_text("{")
+    set_up(plan, output, lines.append)
+    assert [line for line in lines if line.endswith("...")] == ["print ..."]
+
+
+def test_a_wrong_pitch_and_a_short_rest_are_doubted(images: Path, tmp_path: Path) -> None:
+    text = EXAMPLE.replace("pitch_mm = 0.8 ", "pitch_mm = 0.84 ").replace("rest_left*", "rest_left00")
+    (images / "wrong.toml").write_text(text.replace("rest_right*", "rest_right00").partition("[[boards]]")[0])
+    found = {step.name: step for step in set_up(Plan.load(images / "wrong.toml"), tmp_path / "out")}
+    assert found["cameras"].is_good and not found["layers"].is_good
+    doubts = " ".join(found["rest"].doubts)
+    assert "given as 0.84 mm" in doubts and "1 frames at rest do not show the noise" in doubts
+    assert "In doubt: layers, gel at rest." in (tmp_path / "out" / "report.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("[rest]", "[rests]"), "unknown key 'rests'"),
+        (("pitch_mm = 0.8", "pitch_mm = -1"), r"pitch_mm in \[rest\] is -1; valid is a number above 0"),
+        (('board = "9x6"', 'board = "nine"'), "board in .cameras.: 'nine' is not a board"),
+        (("square_mm = 2.0", ""), "square_mm is missing"),
+        (("chessboard/left*", "nothing/left*"), r"left in \[cameras\]: .*nothing"),
+        (("chessboard/left*.png", "gel/rest_left00.png"), "has 1 left and 12 right images"),
+        (('preset = "balanced"', 'preset = "best"'), "preset is 'best'; valid are paper"),
+    ],
+)
+def test_a_plan_that_is_not_valid_is_named(images: Path, change: tuple[str, str], message: str) -> None:
+    (images / "bad.toml").write_text(EXAMPLE.replace(*change))
+    with pytest.raises(PlanError, match=message):
+        Plan.load(images / "bad.toml")
+
+
+def test_the_command_prints_a_plan_and_its_errors(
+    images: Path, steps: list[Step], output: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["setup", "--example"]) == 0 and capsys.readouterr().out == EXAMPLE
+    assert main(["setup"]) == 2 and "needs a plan" in capsys.readouterr().err
+    assert main(["setup", str(images / "none.toml")]) == 2 and "No such plan" in capsys.readouterr().err
+    assert main(["setup", str(images / "plan.toml"), "--output", str(output)]) == 0
+    assert "wrote" in capsys.readouterr().out
+    other = images / "other.toml"
+    other.write_text('preset = "balanced"\n')
+    with pytest.raises(SensorFileError, match="has no 'rig', so it is no sensor file"):
+        load_sensor(other)
