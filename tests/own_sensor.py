@@ -26,6 +26,8 @@ LAYERS = {
 }
 GEL = {"rows": 19, "cols": 21, "pitch_mm": 0.8, "dot_radius_mm": 0.2, "surface_mm": 28.0}
 PEG = {"kind": "cylinder", "radius_mm": 4.0, "length_mm": 30.0}
+#: Pairs in `rest/`.
+REST_FRAMES = 12
 #: The peg's pose when it is pressed deepest: its middle in the sensor frame, and its rotation vector.
 PEG_MM, PEG_RAD = (4.0, 0.0, 30.6), (0.0, math.pi / 2, 0.0)
 
@@ -65,8 +67,8 @@ def press(
 
 
 def write_own_sensor(folder: Path) -> None:
-    """Write `chessboard/`, `gel/`, `press/` and `peg.stl`."""
-    for name in ("chessboard", "gel", "press/left", "press/right"):
+    """Write `chessboard/`, `gel/`, `rest/`, `press/` and `peg.stl`."""
+    for name in ("chessboard", "gel", "rest/left", "rest/right", "press/left", "press/right"):
         (folder / name).mkdir(parents=True, exist_ok=True)
     write_pairs(folder / "chessboard", TrueRig.typical(), 12)
     for height_mm in (0.8, 1.8):
@@ -75,7 +77,11 @@ def write_own_sensor(folder: Path) -> None:
         write(frames[0], folder / "gel" / "rest_left.png", folder / "gel" / "rest_right.png")
         seated = frames[len(frames) - 1]
         write(seated, *(folder / "gel" / f"board_{height_mm}_{view}.png" for view in ("left", "right")))
-    for frame in press(PEG, 33.0, PEG_MM[2], PEG_RAD):
+    presses = press(PEG, 33.0, PEG_MM[2], PEG_RAD)
+    for n in range(REST_FRAMES):
+        at_rest = presses.press(frame=n)
+        write(at_rest, *(folder / "rest" / view / f"{n:04}.png" for view in ("left", "right")))
+    for frame in presses:
         write(frame, *(folder / "press" / view / f"{frame.index:04}.png" for view in ("left", "right")))
     peg = trimesh.creation.cylinder(PEG["radius_mm"], PEG["length_mm"], sections=256)
     peg.export(folder / "peg.stl")

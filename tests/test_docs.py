@@ -201,7 +201,7 @@ PUBLIC_MODULES = [
         "parts",
         "point_files",
     ),
-    *("progress", "recordings", "streams", "templates", "view"),
+    *("progress", "recordings", "setup", "streams", "templates", "view"),
 ]
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from own_sensor import GEL, LAYERS, PEG, PEG_MM, PEG_RAD, press, true_rig, write, write_own_sensor
+from own_sensor import GEL, LAYERS, PEG, PEG_MM, PEG_RAD, press, true_rig, write_own_sensor
 
 import gelstereo as gs
 from gelstereo.cli.main import main
@@ -15,24 +15,13 @@ from gelstereo.setup import Plan, PlanError, Step, load_sensor, set_up
 from gelstereo.setup.plan import EXAMPLE
 from gelstereo.setup.sensor import SensorFileError
 
-REST_FRAMES = 12
-
 
 @pytest.fixture(scope="module")
 def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Images of the tutorial's sensor, twelve pairs at rest, and the plan of the example with its boards."""
+    """Images of the tutorial's sensor, and its plan."""
     folder = tmp_path_factory.mktemp("sensor")
     write_own_sensor(folder)
-    rest = press(PEG, 33.0, PEG_MM[2], PEG_RAD)
-    for n in range(REST_FRAMES):
-        pair = rest.press(frame=n)
-        write(pair, folder / "gel" / f"rest_left{n:02}.png", folder / "gel" / f"rest_right{n:02}.png")
-    for view in ("left", "right"):
-        (folder / "gel" / f"rest_{view}.png").unlink()
-    second = (
-        '[[boards]]\nheight_mm = 1.8\nleft = "gel/board_1.8_left.png"\nright = "gel/board_1.8_right.png"\n'
-    )
-    (folder / "plan.toml").write_text(EXAMPLE.replace("# A part pressed", second + "\n# A part pressed"))
+    (folder / "plan.toml").write_text(EXAMPLE)
     return folder
 
 
@@ -105,8 +94,8 @@ def test_a_repeated_setup_runs_only_what_has_changed(steps: list[Step], images: 
 
 
 def test_a_wrong_pitch_and_a_short_rest_are_doubted(images: Path, tmp_path: Path) -> None:
-    text = EXAMPLE.replace("pitch_mm = 0.8 ", "pitch_mm = 0.84 ").replace("rest_left*", "rest_left00")
-    (images / "wrong.toml").write_text(text.replace("rest_right*", "rest_right00").partition("[[boards]]")[0])
+    text = EXAMPLE.replace("pitch_mm = 0.8 ", "pitch_mm = 0.84 ").replace("left/*", "left/0000")
+    (images / "wrong.toml").write_text(text.replace("right/*", "right/0000").partition("[[boards]]")[0])
     found = {step.name: step for step in set_up(Plan.load(images / "wrong.toml"), tmp_path / "out")}
     assert found["cameras"].is_good and not found["layers"].is_good
     doubts = " ".join(found["rest"].doubts)
@@ -122,7 +111,7 @@ def test_a_wrong_pitch_and_a_short_rest_are_doubted(images: Path, tmp_path: Path
         (('board = "9x6"', 'board = "nine"'), "board in .cameras.: 'nine' is not a board"),
         (("square_mm = 2.0", ""), "square_mm is missing"),
         (("chessboard/left*", "nothing/left*"), r"left in \[cameras\]: .*nothing"),
-        (("chessboard/left*.png", "gel/rest_left00.png"), "has 1 left and 12 right images"),
+        (("chessboard/left*.png", "gel/board_0.8_left.png"), "has 1 left and 12 right images"),
         (('preset = "balanced"', 'preset = "best"'), "preset is 'best'; valid are paper"),
     ],
 )

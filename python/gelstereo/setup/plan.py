@@ -28,8 +28,8 @@ square_mm = 2.0
 
 # The gel at rest: one pair, or better thirty.
 [rest]
-left = "gel/rest_left*.png"
-right = "gel/rest_right*.png"
+left = "rest/left/*.png"
+right = "rest/right/*.png"
 pitch_mm = 0.8       # distance of neighbouring markers
 
 # Plate and gel as designed. Leave it out if nothing bends the light.
@@ -51,6 +51,10 @@ plate_0_index = 0.005
 height_mm = 0.8
 left = "gel/board_0.8_left.png"
 right = "gel/board_0.8_right.png"
+[[boards]]
+height_mm = 1.8
+left = "gel/board_1.8_left.png"
+right = "gel/board_1.8_right.png"
 
 # A part pressed into the gel, with frames at rest before it.
 [presses]
