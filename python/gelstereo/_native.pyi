@@ -86,6 +86,7 @@ __all__ = [
     "localize",
     "marker_states",
     "nearest",
+    "pair_views",
     "parse_toml",
     "pressure_saliency",
     "rest_lattice",
@@ -291,6 +292,8 @@ class MarkerTracker:
     def spacing_px(self) -> float | None: ...
     def process(self, image: npt.NDArray[np.uint8]) -> TrackedMarkers: ...
     def reset(self) -> None: ...
+
+def pair_views(left_px: npt.ArrayLike, right_px: npt.ArrayLike) -> npt.NDArray[np.int64] | None: ...
 
 @final
 class RestLattice:

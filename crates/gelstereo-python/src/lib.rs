@@ -74,7 +74,7 @@ mod _native {
     #[pymodule_export]
     use crate::localizer::Localizer;
     #[pymodule_export]
-    use crate::marker_tracker::{MarkerTracker, TrackedMarkers};
+    use crate::marker_tracker::{MarkerTracker, TrackedMarkers, pair_views};
     #[pymodule_export]
     use crate::params::Params;
     #[pymodule_export]

@@ -1,13 +1,14 @@
 //! Tracking of markers of any layout in one camera.
 
-use crate::arrays::{self, Array1, Image, Matrix};
+use crate::arrays::{self, Array1, Image, Matrix, Numbers};
 use crate::detect::{fixed_channel, roi_px};
 use crate::errors::raise;
 use crate::params::Params;
+use gelstereo_core::math::DVec2;
 use gelstereo_core::params::{Channel, DetectParams};
 use gelstereo_core::pipeline as core;
 use gelstereo_core::track::{Certainty, MarkerState, ScatteredTracker};
-use numpy::PyArray3;
+use numpy::{PyArray2, PyArray3};
 use pyo3::prelude::*;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -193,4 +194,39 @@ impl MarkerTracker {
         py.detach(|| self.lock().reset());
         *self.locked_channel() = fixed_channel(&self.params);
     }
+}
+
+/// Pair the markers of two rectified views, in any layout.
+///
+/// Parameters
+/// ----------
+/// left_px, right_px : (N, 2), (M, 2) array_like
+///     Rectified positions: a marker has about the same row in both, and a smaller column in the right view.
+///
+/// Returns
+/// -------
+/// (K, 2) int64 or None
+///     Indices in the left and the right view. None if two disparities explain about as many markers, or none
+///     explains half of them.
+///
+/// Raises
+/// ------
+/// ShapeError
+///     If an array has another shape, or a position is not finite.
+#[pyfunction]
+pub fn pair_views(
+    py: Python<'_>,
+    left_px: &Bound<'_, PyAny>,
+    right_px: &Bound<'_, PyAny>,
+) -> PyResult<Option<Py<PyArray2<i64>>>> {
+    let (left, right) = (Numbers::new(left_px, "left_px")?, Numbers::new(right_px, "right_px")?);
+    let (left, right) = (left.rows::<DVec2, 2>()?, right.rows::<DVec2, 2>()?);
+    let found = py.detach(|| gelstereo_core::track::pair_views(left, right));
+    found
+        .map(|pairs| {
+            let count = pairs.len();
+            let flat = pairs.into_iter().flat_map(|(n, m)| [i64::from(n), i64::from(m)]).collect();
+            arrays::shaped(py, flat, (count, 2))
+        })
+        .transpose()
 }

@@ -10,7 +10,7 @@ mod scattered;
 mod verified;
 mod window_detections;
 
-pub use scattered::{MIN_MARKERS, ScatteredTracker, TooFewMarkers};
+pub use scattered::{MIN_MARKERS, ScatteredTracker, TooFewMarkers, pair_views};
 pub use verified::{Certainty, VerifiedTracker};
 
 use crate::detect::Markers;

@@ -2,7 +2,10 @@
 
 mod hypothesis;
 mod neighbours;
+mod pairing;
 mod votes;
+
+pub use pairing::pair_views;
 
 use super::interpolate::{Affine, pairs};
 use super::verified::Certainty;
