@@ -38,7 +38,8 @@ def look(plan: Plan) -> Step:
             doubts.append(f"the dots of the {view} view are faint: use more light or a longer exposure")
         if layout.kind != "square":
             doubts.append(
-                f"the print of the {view} view is {layout.kind}: the pipeline needs a square lattice"
+                f"the print of the {view} view is {layout.kind}, and the pipeline needs a square lattice: "
+                "gelstereo.scattered takes any layout"
             )
         elif not layout.is_whole:
             doubts.append(f"the print reaches beyond the {view} view: its border rows are not counted")
