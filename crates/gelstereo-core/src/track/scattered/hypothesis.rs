@@ -8,6 +8,10 @@ use alloc::vec::Vec;
 /// No detection, or no marker.
 pub(super) const NONE: u32 = u32::MAX;
 
+// Ranges tried on simulated prints of four layouts (track_scattered.rs, 300 cases a property), in which no
+// marker had a wrong name and every test passed: NEIGHBOURS_AGREE 0.2 to 0.5, DISPUTED 0.12 to 0.4, LONE 0.06
+// to 0.24, LONE_MOST 0.15 to 0.4.
+
 /// Neighbours that moved alike have residuals that differ by less than this, in spacings.
 const NEIGHBOURS_AGREE: f64 = 0.35;
 
