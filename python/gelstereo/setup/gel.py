@@ -97,14 +97,14 @@ def presses(plan: Plan, rig: Rig, settings: Mapping[str, Any]) -> Step:
         raise ValueError("the plan has no presses")
     learns = {"contact.saliency": "pressure", "contact.learn_decay": True}
     pipeline = Pipeline(rig, params_of(plan, settings).replace(learns))
-    deepest_mm, touching, sure = 0.0, 0, 0
+    deepest_mm, touching, unidentified = 0.0, 0, 0
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PitchWarning)
         for left, right in progress(plan.presses.pairs, "sensing the presses"):
             frame = pipeline.process(read_color_image(left), read_color_image(right))
             salient = np.asarray(frame.salient)
             touching += int(salient.any())
-            sure += int(not (np.asarray(frame.state) != MarkerState.SEEN).all())
+            unidentified += int((np.asarray(frame.state) != MarkerState.SEEN).all())
             deepest_mm = max(deepest_mm, float(np.max(np.asarray(frame.indentation_mm))))
     count = len(plan.presses.pairs)
     figures = [
@@ -112,8 +112,8 @@ def presses(plan: Plan, rig: Rig, settings: Mapping[str, Any]) -> Step:
         Figure("deepest indentation", f"{deepest_mm:.2f} mm"),
     ]
     doubts, gel = [], {}
-    if sure < count:
-        doubts.append(f"in {count - sure} frames no marker was identified: press more slowly")
+    if unidentified:
+        doubts.append(f"in {unidentified} frames no marker was identified: press more slowly")
     decay = pipeline.decay_mm
     if decay is None:
         doubts.append("the gel's decay length was not learned: press a part of known shape, 0.5 mm or deeper")

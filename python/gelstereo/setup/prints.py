@@ -50,10 +50,14 @@ def look(plan: Plan) -> Step:
         )
     settings = {**left.settings, "lattice.pitch_mm": plan.pitch_mm}
     _, content = cv2.imencode(".png", draw_inspection(images["left"], left))
-    values = {
-        "settings": settings,
-        "noise_levels": left.noise,
-        "dot_px": left.dot_px,
-    }
     caption = "Left view at rest. Dots on the lattice have green rings, others red ones."
-    return Step("print", "Print", tuple(figures), tuple(doubts), (), values, content.tobytes(), caption)
+    return Step(
+        "print",
+        "Print",
+        tuple(figures),
+        tuple(doubts),
+        (),
+        {"settings": settings},
+        content.tobytes(),
+        caption,
+    )
