@@ -191,10 +191,11 @@ class Cell:
         return [json.loads(line) for line in lines]
 
     def wait_for(self, event: str, count: int) -> None:
-        """Waits until so many events of this name have happened in the world."""
+        """Waits until so many events of this name have happened in the world, or the host has ended."""
 
         def happened() -> bool:
-            return sum(line["event"] == event for line in self.events()) >= count
+            ended = self.parts["host"].poll() is not None
+            return ended or sum(line["event"] == event for line in self.events()) >= count
 
         wait_until(happened, f"{event} number {count} in the world")
 
