@@ -63,13 +63,13 @@ def load_sensor(path: str | Path) -> Sensor:
     """
     path = Path(path)
     tree = parse_toml(path.read_text(encoding="utf-8"))
-    missing = [name for name in ("preset", "rig", "params", "gel") if name not in tree]
+    missing = [name for name in ("preset", "rig", "gel") if name not in tree]
     if missing:
         raise SensorFileError(
             f"{path} has no {missing[0]!r}, so it is no sensor file; `gelstereo setup` writes one"
         )
     rig = Scene().replace({"rig": tree["rig"]}).rig
-    return Sensor(rig, Params.preset(tree["preset"]).replace(tree["params"]), tree["gel"])
+    return Sensor(rig, Params.preset(tree["preset"]).replace(tree.get("params", {})), tree["gel"])
 
 
 def sensor_text(rig: Rig, preset: str, settings: Mapping[str, Any], gel: Mapping[str, Any]) -> str:
