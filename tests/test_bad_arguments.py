@@ -130,7 +130,8 @@ def test_row_40_a_pitch_that_the_rest_frame_contradicts(sensor: Simulator, pitch
     shown = sensor.press()
     pipeline = Pipeline(RIG, Params().replace(lattice={"pitch_mm": pitch_mm}))
     words = (
-        rf"stand 0.9\d* mm apart in the median, but lattice.pitch_mm is {pitch_mm:g}; .*set lattice.pitch_mm"
+        r"stand 0.9\d* mm apart along rows and 0.9\d* mm along columns in the median, but "
+        rf"lattice.pitch_mm is {pitch_mm:g}; .*set lattice.pitch_mm"
     )
     for _ in range(2):
         with pytest.raises(gelstereo.ParamsError, match=words):

@@ -99,7 +99,7 @@ def test_a_wrong_pitch_and_a_short_rest_are_doubted(images: Path, tmp_path: Path
     found = {step.name: step for step in set_up(Plan.load(images / "wrong.toml"), tmp_path / "out")}
     assert found["cameras"].is_good and not found["layers"].is_good
     doubts = " ".join(found["rest"].doubts)
-    assert "given as 0.84 mm" in doubts and "1 frames at rest do not show the noise" in doubts
+    assert "lattice.pitch_mm is 0.84" in doubts and "1 frames at rest do not show the noise" in doubts
     assert "In doubt: layers, gel at rest." in (tmp_path / "out" / "report.html").read_text()
 
 

@@ -189,7 +189,7 @@ fn a_sensor_file_completes_a_configuration() {
     let config = Config::load(&folder.path().join("cell.toml")).unwrap();
     let exact = Params::preset("exact").unwrap();
     assert_eq!(config.preset, "exact");
-    assert_eq!((config.params.lattice.pitch_mm, config.params.lattice.rows), (0.92, Some(25)));
+    assert_eq!((config.params.lattice.pitch_mm, config.params.lattice.rows), (0.92.into(), Some(25)));
     assert_eq!(config.params.detect, exact.detect);
     assert_eq!(config.rig, Some(gelstereo_sim::Scene::default_rig()));
     // What is printed of it needs no sensor file.

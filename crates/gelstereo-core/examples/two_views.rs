@@ -69,7 +69,7 @@ fn draw_dot(image: &mut [u8], centre_px: DVec2) {
 fn sense() -> Result<Frame, Box<dyn Error>> {
     let rig = rig();
     let mut params = Params::preset("balanced").ok_or("there is no such preset")?;
-    params.lattice.pitch_mm = PITCH_MM;
+    params.lattice.pitch_mm = PITCH_MM.into();
     let mut pipeline = Pipeline::new(&rig, &params)?;
     // The lists of a frame are reused, so that nothing is allocated after the first one.
     let mut frame = Frame::default();

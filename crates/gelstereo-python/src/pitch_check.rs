@@ -11,25 +11,26 @@ pub struct PitchCheck {
 
 #[pymethods]
 impl PitchCheck {
-    /// Median distance of neighbouring markers in a row at rest, mm.
+    /// Median distances of neighbouring markers at rest, mm: along rows, and along columns.
     #[getter]
-    const fn measured_mm(&self) -> f64 {
-        self.inner.measured_mm
+    fn measured_mm(&self) -> (f64, f64) {
+        self.inner.measured_mm.into()
     }
 
-    /// Standard deviation of `measured_mm` from the scatter of the distances, mm.
+    /// Standard deviations of `measured_mm` from the scatter of the distances, mm.
     #[getter]
-    const fn sigma_mm(&self) -> f64 {
-        self.inner.sigma_mm
+    fn sigma_mm(&self) -> (f64, f64) {
+        self.inner.sigma_mm.into()
     }
 
-    /// ``lattice.pitch_mm``.
+    /// ``lattice.pitch_mm`` along rows and along columns.
     #[getter]
-    const fn expected_mm(&self) -> f64 {
-        self.inner.expected_mm
+    fn expected_mm(&self) -> (f64, f64) {
+        self.inner.expected.axes_mm().into()
     }
 
-    /// Whether both differ by more than five standard deviations and one per cent, which a print may be off.
+    /// Whether one of them differs by more than five standard deviations and one per cent, which a print may
+    /// be off.
     #[getter]
     fn is_off(&self) -> bool {
         self.inner.is_off()
@@ -40,8 +41,11 @@ impl PitchCheck {
     }
 
     fn __repr__(&self) -> String {
-        let core::PitchCheck { measured_mm, sigma_mm, expected_mm } = self.inner;
+        let core::PitchCheck { measured_mm: [x, y], sigma_mm: [x_sigma, y_sigma], expected } = self.inner;
         let state = if self.inner.is_off() { "off" } else { "as expected" };
-        format!("<PitchCheck: {measured_mm:.4} ± {sigma_mm:.4} mm, expected {expected_mm} mm: {state}>")
+        format!(
+            "<PitchCheck: {x:.4} ± {x_sigma:.4} mm along rows, {y:.4} ± {y_sigma:.4} mm along columns, \
+             expected {expected} mm: {state}>"
+        )
     }
 }

@@ -120,12 +120,12 @@ impl SimulatedConfig {
 
     /// Checks that the pipeline expects the simulated gel.
     pub(super) fn validate_against(&self, params: &Params) -> Result<(), ConfigError> {
-        let (expected_mm, printed_mm) = (params.lattice.pitch_mm, self.gel.pitch_mm);
-        let ratio = (expected_mm / printed_mm).max(printed_mm / expected_mm);
-        if ratio > MAX_PITCH_RATIO {
+        let (expected, printed_mm) = (params.lattice.pitch_mm, self.gel.pitch_mm);
+        let differs = |mm: f64| (mm / printed_mm).max(printed_mm / mm) > MAX_PITCH_RATIO;
+        if expected.axes_mm().into_iter().any(differs) {
             return Err(ConfigError::Contradiction {
                 name: "params.lattice.pitch_mm",
-                found: format!("{expected_mm} mm"),
+                found: format!("{expected} mm"),
                 other: format!("simulated.gel.pitch_mm is {printed_mm} mm"),
                 advice: "make them agree to a tenth",
             });

@@ -41,7 +41,8 @@ pub(super) fn rest(cell: &mut Cell) -> Result<(), Halt> {
     let seen = frame.state.iter().filter(|&&state| state == MarkerState::Seen).count();
     let mut figures = vec![figure("markers", frame.state.len() as f64), figure("seen", seen as f64)];
     if let Some(pitch) = cell.sensing.pitch_check() {
-        figures.push(figure("pitch_mm", pitch.measured_mm));
+        let [x_mm, y_mm] = pitch.measured_mm;
+        figures.extend([figure("pitch_x_mm", x_mm), figure("pitch_y_mm", y_mm)]);
         if pitch.is_off() {
             cell.log.warn(pitch.to_string());
         }

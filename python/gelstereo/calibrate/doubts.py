@@ -128,7 +128,10 @@ class _Places:
         errors_mm, variances = place_errors(solution.linearised)
         errors = errors_mm / np.sqrt(variances + print_sigma_mm**2)
         return cls(
-            model.places[: len(errors)].astype(int), errors, float(solution.shared[-1]), print_sigma_mm
+            model.places[: len(errors)].astype(int),
+            errors,
+            float(solution.shared[-1]) * min(1.0, model.known.aspect),
+            print_sigma_mm,
         )
 
     def together(self, rate: float) -> list[Doubt]:

@@ -58,7 +58,8 @@ class LayersCalibration:
     t_sensor_lattice
         (4, 4) pose of the rest lattice: x along the columns, y along the rows, z away from the cameras.
     pitch_mm, pitch_sigma_mm
-        Pitch of the lattice, and its standard deviation.
+        Pitch of the lattice along its rows, and its standard deviation. A rectangular lattice keeps the
+        stated ratio of its pitches.
     print_sigma_mm
         Standard deviation of the printed marker positions, along each lattice axis.
     rms_px
@@ -109,7 +110,7 @@ def calibrate_layers(
     rig: Rig,
     frames: Sequence[SeatedFrame],
     *,
-    pitch_mm: float,
+    pitch_mm: float | Sequence[float],
     pitch_sigma_mm: float | None = None,
     layers: Mapping[str, Any] | None = None,
     priors: Mapping[str, float] | None = None,
@@ -125,8 +126,8 @@ def calibrate_layers(
     frames
         At least one frame at rest. Frames on boards are needed to determine the gel's index.
     pitch_mm, pitch_sigma_mm
-        Stated pitch of the printed lattice, and its standard deviation. Default: half a per cent of the
-        pitch.
+        Stated pitch of the printed lattice, two of a rectangular one: along its rows, and along its columns.
+        Standard deviation of the first. Default: half a per cent of the pitch.
     layers
         Design values in the form of `Rig.layers`: initial guess and mean of the priors. Default: the rig's
         layers.
@@ -148,9 +149,10 @@ def calibrate_layers(
     layers = rig.layers if layers is None else layers
     if layers is None:
         raise CalibrationError("the rig has no layers; pass the design values as `layers`")
+    x_mm, y_mm = _axes(pitch_mm)
     if pitch_sigma_mm is None:
-        pitch_sigma_mm = PITCH_TOLERANCE * pitch_mm
-    known = Known(dict(priors or {}), pitch_mm, pitch_sigma_mm, height_sigma_mm, sigma_px)
+        pitch_sigma_mm = PITCH_TOLERANCE * x_mm
+    known = Known(dict(priors or {}), x_mm, pitch_sigma_mm, height_sigma_mm, sigma_px, y_mm / x_mm)
     _check(frames, known)
     model = Model(rig, frames, layers, known)
     start = model.start()
@@ -189,6 +191,18 @@ def _result(
     )
 
 
+def _axes(pitch_mm: float | Sequence[float]) -> tuple[float, float]:
+    """Pitch along rows and along columns."""
+    axes = (
+        np.broadcast_to(np.asarray(pitch_mm, float), (2,)) if np.size(pitch_mm) in (1, 2) else np.array([0])
+    )
+    if not (np.isfinite(axes) & (axes > 0.0)).all():
+        raise CalibrationError(
+            f"pitch_mm is {pitch_mm}; valid is a finite number above 0, or two, along rows and along columns"
+        )
+    return float(axes[0]), float(axes[-1])
+
+
 def _refuse_undetermined(combinations: Sequence[Combination]) -> None:
     weak = tuple(c for c in combinations if c.total_sigma > 1.0)
     if weak:
@@ -202,7 +216,6 @@ def _refuse_undetermined(combinations: Sequence[Combination]) -> None:
 
 def _check(frames: Sequence[SeatedFrame], known: Known) -> None:
     lengths = {
-        "pitch_mm": known.pitch_mm,
         "pitch_sigma_mm": known.pitch_sigma_mm,
         "sigma_px": known.centre_sigma_px,
         "height_sigma_mm": known.height_sigma_mm,

@@ -109,7 +109,9 @@ class Known:
     layers
         By parameter name; 0 holds the parameter fixed.
     pitch_mm, pitch_sigma_mm
-        Stated pitch of the print, and its tolerance.
+        Stated pitch of the print along its rows, and its tolerance.
+    aspect
+        Pitch along the columns over that along the rows.
     height_sigma_mm
         Tolerance of a board's protrusion.
     centre_sigma_px
@@ -121,6 +123,7 @@ class Known:
     pitch_sigma_mm: float
     height_sigma_mm: float
     centre_sigma_px: float
+    aspect: float = 1.0
 
 
 class Model:
@@ -148,6 +151,8 @@ class Model:
         self.scatter_chi2 = float((scatter**2).sum()) / known.centre_sigma_px**2
         self.scatter_degrees = 4 * (len(scatter) - len(count))
         self.places = np.concatenate([places, *(_places(f) for f in seated)])
+        #: Places in units of the pitch along the rows.
+        self.cells = self.places * [1.0, known.aspect]
         self.observed = np.concatenate([observed, *(_centres(f) for f in seated)])
         board = [np.full(len(f.rows), self.boards.index(f.height_mm)) for f in seated]
         self.board = np.concatenate([np.full(len(count), -1), *board])
@@ -164,7 +169,7 @@ class Model:
         rays = Params().replace({"triangulate.method": "rays", "triangulate.max_epipolar_px": 100.0})
         points = triangulate(rig, self.observed[:, :2], self.observed[:, 2:], rays)
         rest = ~self.on_board
-        flat = np.column_stack([self.known.pitch_mm * self.places, np.zeros(len(self.places))])
+        flat = np.column_stack([self.known.pitch_mm * self.cells, np.zeros(len(self.places))])
         pose = np.asarray(geometry.rigid_fit(flat[rest], points[rest]))
         local = (points - pose[:3, 3]) @ pose[:3, :3]
         layers = [self.nominal[n] for n in self.free]
@@ -184,7 +189,7 @@ class Model:
             shared, own = solution.shared, solution.own
             before, variance = (
                 variance,
-                print_variance(solution.linearised, self.known.pitch_mm * float(np.ptp(self.places))),
+                print_variance(solution.linearised, self.known.pitch_mm * float(np.ptp(self.cells))),
             )
             if abs(variance - before) <= 1e-3 * max(variance, before):
                 break
@@ -202,7 +207,7 @@ class Model:
         count = len(self.free)
         layers, pose, offsets, pitch_mm = np.split(shared, [count, count + 6, len(shared) - 1])
         rig, motion = self.rig_with(layers), np.asarray(geometry.se3_exp(pose))
-        place = np.column_stack([pitch_mm * self.places, -self.height])
+        place = np.column_stack([pitch_mm * self.cells, -self.height])
         place[self.on_board, :2] = local
         place[self.on_board, 2] -= offsets[self.board[self.on_board]]
         points = place @ motion[:3, :3].T + motion[:3, 3]
@@ -224,7 +229,7 @@ class Model:
         up = -by_point @ motion[:3, 2]
         columns += [up * (self.board == k)[:, None] for k in range(len(self.boards))]
         own = by_point @ motion[:3, :2]
-        columns.append(np.einsum("npk,nk->np", own, self.places * ~self.on_board[:, None]))
+        columns.append(np.einsum("npk,nk->np", own, self.cells * ~self.on_board[:, None]))
         scale = self.root[:, None] / self.known.centre_sigma_px
         priors = self.priors()
         return Linearised(

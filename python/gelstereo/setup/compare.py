@@ -151,8 +151,9 @@ def compare_sensors(first: Sensor, second: Sensor) -> Comparison:
 def _wrong_points(rig: Rig, sensor: Sensor) -> tuple[Array, Array]:
     """Error of the sensor's markers at rest, triangulated by another rig, and their places."""
     gel = sensor.gel
-    down_mm = gel["pitch_mm"] * (np.arange(gel["rows"]) - 0.5 * (gel["rows"] - 1))
-    across_mm = gel["pitch_mm"] * (np.arange(gel["cols"]) - 0.5 * (gel["cols"] - 1))
+    pitch_x_mm, pitch_y_mm = np.broadcast_to(gel["pitch_mm"], (2,))
+    down_mm = pitch_y_mm * (np.arange(gel["rows"]) - 0.5 * (gel["rows"] - 1))
+    across_mm = pitch_x_mm * (np.arange(gel["cols"]) - 0.5 * (gel["cols"] - 1))
     y_mm, x_mm = np.meshgrid(down_mm + gel["centre_mm"][1], across_mm + gel["centre_mm"][0], indexing="ij")
     points_mm = np.column_stack([x_mm.ravel(), y_mm.ravel(), np.full(x_mm.size, gel["surface_mm"])])
     left_px, right_px = sensor.rig.project(points_mm)

@@ -16,6 +16,7 @@ from gelstereo.inspection import inspect
 from gelstereo.progress import progress
 from gelstereo.setup.layers import params_of
 from gelstereo.setup.plan import Plan
+from gelstereo.setup.prints import pitch_setting
 from gelstereo.setup.sensor import Sensor
 from gelstereo.setup.step import Figure, Step
 from gelstereo.states import MarkerState
@@ -77,13 +78,13 @@ def rest(plan: Plan, rig: Rig, settings: Mapping[str, Any]) -> Step:
         doubts.append(f"{len(frames)} frames at rest do not show the noise: take {MIN_FRAMES} or more")
     check = pipeline.pitch_check
     if check is not None:
-        pitch = f"{check.measured_mm:.4f} +- {check.sigma_mm:.4f} mm"
-        figures.append(Figure("pitch", pitch, f"given {check.expected_mm}"))
+        axes = zip(("rows", "columns"), check.measured_mm, check.sigma_mm, check.expected_mm, strict=True)
+        figures += [
+            Figure(f"pitch along {axis}", f"{mm:.4f} +- {sigma_mm:.4f} mm", f"given {given_mm}")
+            for axis, mm, sigma_mm, given_mm in axes
+        ]
         if check.is_off:
-            doubts.append(
-                f"the print's pitch is measured as {pitch} and given as {check.expected_mm} mm: check the "
-                "square size of the board, the layers, or pitch_mm"
-            )
+            doubts.append(f"the pitch is not as given: {check}")
     if found.measured_mm > MAX_OVER_SIMULATED * simulated.measured_mm:
         doubts.append("the noise is larger than simulated: check light, focus and that nothing moves")
     if saturated > MAX_SATURATED:
@@ -144,12 +145,12 @@ def _noise(frames: list[Frame]) -> _Rest:
 def _gel(plan: Plan, found: _Rest, frame: Frame) -> dict[str, Any]:
     seen = inspect(read_color_image(plan.rest.left[0]), preset=plan.preset)
     middle = found.points_mm.mean(axis=0)
-    radius_mm = 0.5 * seen.dot_px / np.mean(seen.layout.spacing_px) * plan.pitch_mm
+    radius_mm = 0.5 * seen.dot_px / np.mean(seen.layout.spacing_px) * np.mean(plan.pitch_mm)
     point = found.measured_mm if np.isfinite(found.measured_mm) else found.stated_mm
     return {
         "rows": frame.rows,
         "cols": frame.cols,
-        "pitch_mm": plan.pitch_mm,
+        "pitch_mm": pitch_setting(plan),
         "dot_radius_mm": round(float(radius_mm), 4),
         "surface_mm": round(float(middle[2]), 4),
         "centre_mm": [round(float(middle[0]), 4), round(float(middle[1]), 4)],
@@ -160,8 +161,11 @@ def _gel(plan: Plan, found: _Rest, frame: Frame) -> dict[str, Any]:
 
 def _simulated(sensor: Sensor) -> _Rest:
     """A simulated sensor of this geometry and noise, at rest."""
-    simulator = Simulator(sensor.scene())
-    pipeline = Pipeline(sensor.rig, sensor.params)
+    scene = sensor.scene()
+    simulator = Simulator(scene)
+    pipeline = Pipeline(
+        sensor.rig, sensor.params.replace({"lattice.pitch_mm": scene.to_dict()["gel"]["pitch_mm"]})
+    )
     frames = []
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PitchWarning)

@@ -51,7 +51,11 @@ def fit(plan: Plan, rig: Rig, settings: Mapping[str, Any]) -> Step:
         Figure(name, f"{value:.4f} +- {found.sigma[name]:.4f}") for name, value in found.values.items()
     ]
     figures += [
-        Figure("pitch", f"{found.pitch_mm:.4f} +- {found.pitch_sigma_mm:.4f} mm", f"given {plan.pitch_mm}"),
+        Figure(
+            "pitch along rows",
+            f"{found.pitch_mm:.4f} +- {found.pitch_sigma_mm:.4f} mm",
+            f"given {plan.pitch_mm[0]}",
+        ),
         Figure("print's error", f"{1e3 * found.print_sigma_mm:.1f} um"),
         Figure("residual", f"{found.rms_px:.3f} px rms"),
     ]

@@ -30,7 +30,7 @@ square_mm = 2.0
 [rest]
 left = "rest/left/*.png"
 right = "rest/right/*.png"
-pitch_mm = 0.8       # distance of neighbouring markers
+pitch_mm = 0.8       # distance of neighbouring markers; [0.8, 1.0] of a rectangular print
 
 # Plate and gel as designed. Leave it out if nothing bends the light.
 [layers]
@@ -91,7 +91,7 @@ class Plan:
     rest
         Images of the gel at rest.
     pitch_mm
-        Distance of neighbouring markers.
+        Distance of neighbouring markers along rows and along columns.
     preset
         Preset that the settings start from.
     layers
@@ -107,7 +107,7 @@ class Plan:
     cameras: Views
     board: Board
     rest: Views
-    pitch_mm: float
+    pitch_mm: tuple[float, float]
     preset: str = "balanced"
     layers: Mapping[str, Any] | None = None
     priors: Mapping[str, float] = field(default_factory=dict)
@@ -147,7 +147,7 @@ class Plan:
             cameras=_views(folder, cameras, "[cameras]"),
             board=_board(cameras),
             rest=_views(folder, rest, "[rest]"),
-            pitch_mm=_length(rest, "pitch_mm", "[rest]"),
+            pitch_mm=_pitch(rest),
             preset=preset,
             layers=tree.get("layers"),
             priors={name: _length(priors, name, "[priors]") for name in priors},
@@ -170,6 +170,17 @@ def _length(tree: Mapping[str, Any], name: str, where: str) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < float("inf"):
         raise PlanError(f"{name} in {where} is {value!r}; valid is a number above 0")
     return float(value)
+
+
+def _pitch(rest: Mapping[str, Any]) -> tuple[float, float]:
+    value = rest.get("pitch_mm")
+    if not isinstance(value, list):
+        both = _length(rest, "pitch_mm", "[rest]")
+        return both, both
+    if len(value) != 2:
+        raise PlanError(f"pitch_mm in [rest] is {value!r}; valid is a number above 0, or two as [x, y]")
+    x_mm, y_mm = (_length({"pitch_mm": axis}, "pitch_mm", "[rest]") for axis in value)
+    return x_mm, y_mm
 
 
 def _views(folder: Path, tree: Mapping[str, Any], where: str) -> Views:

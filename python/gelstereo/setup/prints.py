@@ -12,11 +12,17 @@ from gelstereo.setup.step import Figure, Step
 with needs(__name__):
     import cv2
 
-__all__ = ["look"]
+__all__ = ["look", "pitch_setting"]
 
 #: Dots that differ less from the gel, in units of the pixels' noise, are measured badly: the error of a
 #: centre is inverse to this ratio.
 MIN_CONTRAST = 10.0
+
+
+def pitch_setting(plan: Plan) -> float | list[float]:
+    """The pitch as settings have it: one number for a square print."""
+    x_mm, y_mm = plan.pitch_mm
+    return x_mm if x_mm == y_mm else [x_mm, y_mm]
 
 
 def look(plan: Plan) -> Step:
@@ -36,9 +42,9 @@ def look(plan: Plan) -> Step:
         ]
         if seen.contrast < MIN_CONTRAST * seen.noise:
             doubts.append(f"the dots of the {view} view are faint: use more light or a longer exposure")
-        if layout.kind != "square":
+        if layout.kind not in ("square", "rectangular"):
             doubts.append(
-                f"the print of the {view} view is {layout.kind}, and the pipeline needs a square lattice: "
+                f"the print of the {view} view is {layout.kind}, and the pipeline needs rows and columns: "
                 "gelstereo.scattered takes any layout"
             )
         elif not layout.is_whole:
@@ -48,7 +54,7 @@ def look(plan: Plan) -> Step:
         doubts.append(
             f"the print shows best in {left.channel} in the left view, and otherwise in the right one"
         )
-    settings = {**left.settings, "lattice.pitch_mm": plan.pitch_mm}
+    settings = {**left.settings, "lattice.pitch_mm": pitch_setting(plan)}
     _, content = cv2.imencode(".png", draw_inspection(images["left"], left))
     caption = "Left view at rest. Dots on the lattice have green rings, others red ones."
     return Step(

@@ -1,6 +1,6 @@
 //! The printed lattice.
 
-use super::{ParamsError, check};
+use super::{ParamsError, Pitch, check};
 use alloc::vec::Vec;
 
 /// The printed lattice. Its rows and columns are counted in the rest frame; settings of them are only
@@ -22,9 +22,9 @@ pub struct LatticeParams {
     /// out.
     #[cfg_attr(feature = "serde", serde(skip_serializing_if = "Option::is_none"))]
     pub cols: Option<usize>,
-    /// Distance between neighbours. Valid: 0.001 to 1000 mm. Default: `0.9` mm. Change it to the pitch of the
-    /// gel's print.
-    pub pitch_mm: f64,
+    /// Distance between neighbours, or `[x, y]` of a rectangular print: along a row, and along a column.
+    /// Valid: 0.001 to 1000 mm. Default: `0.9` mm. Change it to the pitch of the gel's print.
+    pub pitch_mm: Pitch,
     /// Radius of the dots, for `triangulate.disc_bias = corrected`. Valid: 0.0001 to 500 mm, below half of
     /// `pitch_mm`. Default: none, it is told from the dots' areas in the rest frame. Set it where the print's
     /// radius is known.
@@ -46,7 +46,7 @@ impl Default for LatticeParams {
         Self {
             rows: None,
             cols: None,
-            pitch_mm: 0.9,
+            pitch_mm: Pitch::square(0.9),
             dot_radius_mm: None,
             max_missing_share: 0.01,
             missing: Vec::new(),
@@ -82,10 +82,11 @@ impl LatticeParams {
                 )?;
             }
         }
-        let pitch = self.pitch_mm;
-        check((1e-3..=1e3).contains(&pitch), "lattice.pitch_mm", pitch, "0.001 to 1000 mm")?;
+        for pitch_mm in self.pitch_mm.axes_mm() {
+            check((1e-3..=1e3).contains(&pitch_mm), "lattice.pitch_mm", pitch_mm, "0.001 to 1000 mm")?;
+        }
         if let Some(radius) = self.dot_radius_mm {
-            let valid = radius >= 1e-4 && 2.0 * radius < self.pitch_mm;
+            let valid = radius >= 1e-4 && 2.0 * radius < self.pitch_mm.x_mm.min(self.pitch_mm.y_mm);
             check(valid, "lattice.dot_radius_mm", radius, "0.0001 mm to below half of lattice.pitch_mm")?;
         }
         let share = self.max_missing_share;

@@ -7,6 +7,7 @@ mod contact;
 mod detect;
 mod label;
 mod lattice;
+mod pitch;
 mod presets;
 mod register;
 mod renamed;
@@ -19,6 +20,7 @@ pub use detect::{
 };
 pub use label::{LabelMethod, LabelParams};
 pub use lattice::LatticeParams;
+pub use pitch::Pitch;
 pub use register::{
     AdvancedRegisterParams, FilterregParams, GuessSigma, RansacIcpParams, RegisterMethod, RegisterParams,
     SurfaceSearchParams,

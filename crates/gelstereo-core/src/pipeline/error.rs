@@ -4,7 +4,7 @@ use super::rest_record::RestRecordError;
 use crate::contact::ContactError;
 use crate::detect::DetectError;
 use crate::lattice::LabelError;
-use crate::params::ParamsError;
+use crate::params::{ParamsError, Pitch};
 pub use crate::rig::View;
 use crate::triangulate::TriangulateError;
 
@@ -58,10 +58,10 @@ pub enum PipelineError {
     },
     /// The markers' pitch in the rest frame differs strongly from `lattice.pitch_mm`.
     Pitch {
-        /// Median distance of neighbours, millimetres.
-        found_mm: f64,
-        /// Configured value, millimetres.
-        expected_mm: f64,
+        /// Median distance of neighbours along rows and along columns, millimetres.
+        found_mm: [f64; 2],
+        /// Configured value.
+        expected: Pitch,
     },
 }
 
@@ -90,11 +90,11 @@ impl core::fmt::Display for PipelineError {
                 "the rows of the two views disagree by {median_px:.2} px in the median; valid is at most \
                  {max_px} px: the rig does not belong to these cameras, or a row was lost in one view"
             ),
-            Self::Pitch { found_mm, expected_mm } => write!(
+            Self::Pitch { found_mm: [x, y], expected } => write!(
                 f,
-                "the markers stand {found_mm:.3} mm apart in the median, but lattice.pitch_mm is \
-                 {expected_mm}; valid is half to twice what is seen: set lattice.pitch_mm to the print's \
-                 pitch, or check the rig's baseline and focal lengths"
+                "the markers stand {x:.3} mm apart along rows and {y:.3} mm along columns in the median, but \
+                 lattice.pitch_mm is {expected}; valid is half to twice what is seen: set lattice.pitch_mm \
+                 to the print's pitch, or check the rig's baseline and focal lengths"
             ),
         }
     }

@@ -243,7 +243,7 @@ impl Pipeline {
         self.points_mm.extend(stereo.iter().map(|s| s.point_mm));
         let pitch = PitchCheck::new(&self.points_mm, self.left.cols, self.params.lattice.pitch_mm);
         if let Some(pitch) = pitch.filter(PitchCheck::is_absurd) {
-            return Err(PipelineError::Pitch { found_mm: pitch.measured_mm, expected_mm: pitch.expected_mm });
+            return Err(PipelineError::Pitch { found_mm: pitch.measured_mm, expected: pitch.expected });
         }
         self.covariance_mm2.clear();
         let state = left.state.iter().zip(&right.state).map(|(&l, &r)| l.max(r));
@@ -258,7 +258,8 @@ impl Pipeline {
         self.discs = Discs::default();
         if self.params.triangulate.disc_bias == DiscBias::Corrected {
             let lattice = &self.params.lattice;
-            let radius_pitches = lattice.dot_radius_mm.map(|radius_mm| radius_mm / lattice.pitch_mm);
+            let radius_pitches =
+                lattice.dot_radius_mm.map(|radius_mm| radius_mm / lattice.pitch_mm.mean_mm());
             let area_px2 = self.left.median_area_px2();
             let ready = self.triangulator.ready();
             self.discs.start(side(&self.left), radius_pitches, area_px2, &ready, &self.points_mm);
