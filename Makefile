@@ -5,6 +5,8 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 OUT ?= out
 HOST := $(CURDIR)/target/release/gelstereo-host
+# Of the tests in Rust: `make test` builds the host once. `make test-long` takes the one that is delivered.
+DEBUG_HOST := $(CURDIR)/target/debug/gelstereo-host
 
 .PHONY: demo test lint test-rust test-python test-long same-bits long-builds explore fuzz experiment frontier docs dist clean prerequisites
 
@@ -41,22 +43,21 @@ test-python: prerequisites $(BIN)/python
 	# It would bring a second OpenCV with it; only its recordings are read.
 	$(BIN)/pip install --quiet --no-deps pytac3d==3.3.0.9
 	@.ci/second-opinion.sh
-	cargo build --release --quiet -p gelstereo-host --bins --example world_server
+	cargo build --quiet --workspace --bins --example world_server
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy --strict python/gelstereo bench/gelstereo_bench
 	$(BIN)/python -m mypy.stubtest gelstereo._native
-	GELSTEREO_HOST=$(HOST) $(BIN)/pytest -n auto -m "not long and not realtime"
-	GELSTEREO_HOST=$(HOST) $(BIN)/pytest -m "realtime and not long"
+	GELSTEREO_HOST=$(DEBUG_HOST) $(BIN)/pytest -n auto -m "not long and not realtime"
+	GELSTEREO_HOST=$(DEBUG_HOST) $(BIN)/pytest -m "realtime and not long"
 
 # The live outputs are optional features; the everyday build stays light without them. They are built in the profile
 # of the tests and for the whole workspace, which has most of their dependencies already.
-LIVE_HOST := $(CURDIR)/target/debug/gelstereo-host
 LIVE_FEATURES := gelstereo-host/zenoh,gelstereo-host/foxglove
 ROS_PEER := $(CURDIR)/target/ros_peer
 
 test-long: export GELSTEREO_HOST := $(HOST)
-test-long: export GELSTEREO_HOST_LIVE := $(LIVE_HOST)
+test-long: export GELSTEREO_HOST_LIVE := $(DEBUG_HOST)
 test-long: export GELSTEREO_ROS_PEER := $(ROS_PEER)/debug/ros-peer
 test-long: prerequisites $(BIN)/python lint
 	@.ci/long-prerequisites.sh
@@ -75,7 +76,7 @@ test-long: prerequisites $(BIN)/python lint
 
 # Not beside tests that keep a camera's pace: on two cores the builds made their watchdogs act.
 long-builds:
-	cargo build --quiet --config .ci/live.toml --workspace --bin gelstereo-host --features $(LIVE_FEATURES)
+	cargo build --quiet --workspace --bin gelstereo-host --features $(LIVE_FEATURES)
 	cargo build --quiet --manifest-path tests/ros_peer/Cargo.toml --target-dir $(ROS_PEER)
 
 # Digests of results on other processors and builds.

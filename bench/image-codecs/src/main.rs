@@ -5,7 +5,7 @@
 //! given to the codecs as they are; images that were JPEG before show less noise than a camera's raw ones.
 
 use gelstereo_core::math::{DVec3, Pose};
-use gelstereo_host::recording::png::PngEncoder;
+use gelstereo_png::PngEncoder;
 use gelstereo_host::source::Gray;
 use gelstereo_sim::effects::{Defocus, SensorNoise};
 use gelstereo_sim::{ContactState, Effects, Keyframe, Scene, Shape, Simulator, Truth};
@@ -61,7 +61,7 @@ fn codecs() -> Vec<(&'static str, Encode)> {
             "PNG, this project's encoder",
             Box::new(move |image: &Gray| {
                 let mut out = Vec::new();
-                own.encode(image, &mut out);
+                own.encode(&image.pixels, image.width, &mut out);
                 out
             }),
         ),

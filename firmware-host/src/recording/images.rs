@@ -2,9 +2,9 @@
 
 use super::Topic;
 use super::messages::{RIGHT_FRAME, SENSOR_FRAME, compressed_image, image};
-use super::png::PngEncoder;
 use crate::config::ImageFormat;
 use crate::source::{Encoded, Gray, StereoPair};
+use gelstereo_png::PngEncoder;
 
 /// Images queued for a file.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -75,7 +75,7 @@ impl ImageEncoder {
 
     fn png(&mut self, time_ns: u64, frame_id: &str, gray: &Gray) -> Vec<u8> {
         self.file.clear();
-        self.png.encode(gray, &mut self.file);
+        self.png.encode(&gray.pixels, gray.width, &mut self.file);
         compressed_image(time_ns, frame_id, "png", &self.file)
     }
 }

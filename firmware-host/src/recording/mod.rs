@@ -14,7 +14,6 @@ mod error;
 mod images;
 pub mod messages;
 mod part;
-pub mod png;
 mod reader;
 mod recover;
 mod ring;

@@ -1,6 +1,5 @@
 //! The last left image of a stage, with markers and their motion.
 
-use crate::recording::png::PngEncoder;
 use crate::report::Stage;
 use crate::report::trace::{Markers, Picture, Sensed};
 use crate::source::Gray;
@@ -8,6 +7,7 @@ use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use gelstereo_core::math::DVec2;
 use gelstereo_core::track::MarkerState;
+use gelstereo_png::PngEncoder;
 use maud::{Markup, html};
 use std::fmt::Write;
 
@@ -47,7 +47,7 @@ fn caption(stage: Stage, sensed: &Sensed) -> String {
 
 fn data_url(image: &Gray) -> String {
     let mut file = Vec::new();
-    PngEncoder::default().encode(image, &mut file);
+    PngEncoder::default().encode(&image.pixels, image.width, &mut file);
     format!("data:image/png;base64,{}", STANDARD.encode(file))
 }
 

@@ -5,7 +5,7 @@
 //! the best row filter. Every PNG reader opens the result. `docs/recordings.md` compares it with other
 //! codecs.
 
-use crate::source::Gray;
+#![forbid(unsafe_code)]
 
 const SIGNATURE: [u8; 8] = [0x89, b'P', b'N', b'G', 0x0d, 0x0a, 0x1a, 0x0a];
 /// Longest code: four codes and the remainder of a byte fit in 64 bits.
@@ -31,16 +31,18 @@ pub struct PngEncoder {
 }
 
 impl PngEncoder {
-    /// Appends `image` to `out` as a PNG file of 8-bit grey.
-    pub fn encode(&mut self, image: &Gray, out: &mut Vec<u8>) {
+    /// Appends an image to `out` as a PNG file of 8-bit grey. `pixels` has rows of `width` bytes without
+    /// padding; a last row that is not whole is left out.
+    pub fn encode(&mut self, pixels: &[u8], width: usize, out: &mut Vec<u8>) {
+        let height = pixels.len().checked_div(width).unwrap_or(0);
         out.extend_from_slice(&SIGNATURE);
         let mut header = Vec::with_capacity(13);
-        header.extend_from_slice(&(image.width as u32).to_be_bytes());
-        header.extend_from_slice(&(image.height as u32).to_be_bytes());
+        header.extend_from_slice(&(width as u32).to_be_bytes());
+        header.extend_from_slice(&(height as u32).to_be_bytes());
         // 8 bits, grey, DEFLATE, the five filter types, not interlaced.
         header.extend_from_slice(&[8, 0, 0, 0, 0]);
         chunk(out, b"IHDR", |out| out.extend_from_slice(&header));
-        self.filter(image);
+        self.filter(pixels, width, height);
         chunk(out, b"IDAT", |out| {
             // zlib header: DEFLATE with a 32 kB window; the second byte makes the pair a multiple of 31.
             out.extend_from_slice(&[0x78, 0x01]);
@@ -51,8 +53,7 @@ impl PngEncoder {
     }
 
     /// Fills `residuals` with filter numbers and filtered rows.
-    fn filter(&mut self, image: &Gray) {
-        let Gray { width, height, ref pixels } = *image;
+    fn filter(&mut self, pixels: &[u8], width: usize, height: usize) {
         self.residuals.clear();
         self.residuals.resize((width + 1) * height, 0);
         if width == 0 {
@@ -308,9 +309,11 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn decoded(file: &[u8]) -> Gray {
+    /// Pixels and width.
+    fn decoded(file: &[u8]) -> (Vec<u8>, usize) {
         let image = image::load_from_memory_with_format(file, image::ImageFormat::Png).unwrap().into_luma8();
-        Gray { width: image.width() as usize, height: image.height() as usize, pixels: image.into_raw() }
+        let width = image.width() as usize;
+        (image.into_raw(), width)
     }
 
     /// Symbols that occur once beside very frequent ones have the longest codes. Fibonacci counts give a
@@ -342,10 +345,10 @@ mod tests {
                 state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
                 ((i / 3) as u32 + (state >> 33) as u32 % (spread + 1)) as u8
             });
-            let image = Gray { width, height, pixels: pixels.collect() };
+            let pixels: Vec<u8> = pixels.collect();
             let mut file = Vec::new();
-            PngEncoder::default().encode(&image, &mut file);
-            prop_assert_eq!(decoded(&file), image);
+            PngEncoder::default().encode(&pixels, width, &mut file);
+            prop_assert_eq!(decoded(&file), (pixels, width));
         }
     }
 }
