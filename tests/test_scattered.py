@@ -50,9 +50,9 @@ def images(rig: gs.Rig, points_mm: np.ndarray, seed: int) -> tuple[np.ndarray, n
     return draw(left_px, scale, seed=2 * seed), draw(right_px, scale, seed=2 * seed + 1)
 
 
-def run(rig: gs.Rig, frames: list[np.ndarray]) -> tuple[StereoMarkerTracker, list[ScatteredFrame]]:
-    tracker = StereoMarkerTracker(rig)
-    return tracker, [tracker.process(*images(rig, points, k)) for k, points in enumerate(frames)]
+def run(rig: gs.Rig, frames: list[np.ndarray], params: gs.Params | None = None) -> list[ScatteredFrame]:
+    tracker = StereoMarkerTracker(rig, params)
+    return [tracker.process(*images(rig, points, k)) for k, points in enumerate(frames)]
 
 
 def names(points_mm: np.ndarray, truth_mm: np.ndarray) -> np.ndarray:
@@ -64,7 +64,7 @@ def names(points_mm: np.ndarray, truth_mm: np.ndarray) -> np.ndarray:
 def test_a_ball_on_random_dots_is_measured_in_millimetres(rig: gs.Rig) -> None:
     rest = random_print()
     truth = [pressed(rest, k / 6) for k in range(7)]
-    tracker, found = run(rig, truth)
+    found = run(rig, truth)
     assert len(found[0]) > 0.97 * len(rest) and found[0].salient.sum() == 0
     who = names(found[0].points_mm, rest)
     assert len(set(who)) == len(who)
@@ -80,25 +80,41 @@ def test_a_ball_on_random_dots_is_measured_in_millimetres(rig: gs.Rig) -> None:
     assert 0.25 < nse < 1.5
     heights = SURFACE_MM - truth[-1][who, 2]
     assert np.abs(found[-1].indentation_mm - heights)[seen].max() < 0.1
-    clear = np.abs(heights - tracker._saliency_mm) > 0.05
-    assert (found[-1].salient == (heights > tracker._saliency_mm))[clear].all()
+    saliency_mm = gs.Params().to_dict()["contact"]["saliency_mm"]
+    clear = np.abs(heights - saliency_mm) > 0.05
+    assert (found[-1].salient == (heights > saliency_mm))[clear].all()
     assert repr(found[-1]).startswith(f"<ScatteredFrame: {len(who)} markers, ")
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("contact", [{"saliency": "pressure", "decay_mm": 1.5}, {"saliency": "adaptive"}])
+def test_contact_by_pressure_leaves_the_shoulder_out(
+    rig: gs.Rig, contact: dict[str, object], seed: int
+) -> None:
+    rest = random_print(seed)
+    params = gs.Params().replace(contact=contact)
+    found = run(rig, [pressed(rest, k / 6) for k in range(7)], params)
+    frame = found[-1]
+    assert found[0].salient.sum() == 0
+    away_mm = np.hypot(*(rest[names(frame.points_mm, pressed(rest, 1.0)), :2] - BALL_MM[:2]).T)
+    touch_mm = np.sqrt(RADIUS_MM**2 - (RADIUS_MM - 0.5 * PRESS_MM) ** 2)
+    assert frame.salient[away_mm < touch_mm].mean() > 0.9
+    assert not frame.salient[away_mm > touch_mm + 0.7].any()
 
 
 def test_a_ball_is_localized_on_random_dots(rig: gs.Rig) -> None:
     rest = random_print(1)
-    _, found = run(rig, [pressed(rest, k / 6) for k in range(7)])
+    params = gs.Params().replace(contact={"saliency": "pressure", "decay_mm": 1.5})
+    found = run(rig, [pressed(rest, k / 6) for k in range(7)], params)
     frame = found[-1]
     ball = gs.Template.from_mesh(trimesh.creation.icosphere(5, RADIUS_MM), units="mm")
     guess = np.eye(4)
     guess[:3, 3] = BALL_MM + [0.5, -0.4, 0.3]
-    # By depth the shoulder is salient too: markers above half the deepest one are on the ball.
-    top = frame.indentation_mm > 0.5 * frame.indentation_mm.max()
     pose = gs.localize(
-        frame.points_mm[top],
+        frame.points_mm[frame.salient],
         ball,
         guess=guess,
-        covariance_mm2=frame.covariance_mm2[top],
+        covariance_mm2=frame.covariance_mm2[frame.salient],
         params=gs.Params().replace({"register.method": "surface_close"}),
     )
     assert pose.converged
