@@ -30,7 +30,8 @@ test-rust: prerequisites
 	$(PYTHON) .ci/imports.py crates/gelstereo-core/src
 	cargo fmt --all --check
 	@! git grep -nP '^.{111,}' -- '*.rs' || { echo 'the lines above have more than 110 columns'; exit 1; }
-	cargo test --workspace --quiet
+	cargo test --workspace --lib --bins --tests --quiet
+	cargo test --workspace --doc --quiet
 
 # Checks that compile everything once more; `make test-long` runs them too.
 lint: prerequisites
@@ -39,7 +40,8 @@ lint: prerequisites
 	RUSTDOCFLAGS="-D warnings" cargo doc --workspace --no-deps --quiet
 
 test-python: prerequisites $(BIN)/python
-	$(BIN)/pip install --quiet '.[test]' './bench[batch,physics]'
+	# Most of what is installed is never imported: compiling it would take half a minute.
+	$(BIN)/pip install --quiet --no-compile '.[test]' './bench[batch,physics]'
 	# It would bring a second OpenCV with it; only its recordings are read.
 	$(BIN)/pip install --quiet --no-deps pytac3d==3.3.0.9
 	@.ci/second-opinion.sh

@@ -153,6 +153,7 @@ def test_boards_of_the_older_pattern() -> None:
         assert np.abs(found - truth).max() < 1.0
 
 
+@pytest.mark.long
 def test_another_dictionary_is_named(tmp_path: Path) -> None:
     shown = CharucoBoard((9, 7), 2.6, 1.9, "5x5_100")
     left, right = write(tmp_path, shown, 3, 0.0)

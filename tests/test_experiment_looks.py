@@ -196,6 +196,7 @@ def test_a_regrasp_turns_the_hand_about_the_parts_axis() -> None:
         assert held == pytest.approx(place.middle_mm[:2], abs=1e-9)
 
 
+@pytest.mark.long
 def test_a_square_peg_that_one_look_declines_goes_in_after_its_next_side_was_looked_at() -> None:
     """Simulated, noise 2 grey levels: its edges leave the slide open.
 

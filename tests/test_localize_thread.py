@@ -144,6 +144,7 @@ def likely(pressed: Pressed, template: Template, guess: np.ndarray) -> set[int]:
     return {k for k, log in found.items() if log > max(found.values()) - (KEPT - 0.4)}
 
 
+@pytest.mark.long
 def test_every_pitch_within_reach_of_the_guess_is_returned_once_and_ranked(template: Template) -> None:
     """Seen in part, a thread's pitches are as likely; with every marker there is one pose (seeds 4000 to
     4039).

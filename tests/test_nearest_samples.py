@@ -70,7 +70,7 @@ def test_a_template_is_asked_again_and_answers_alike(queries: np.ndarray, count:
 
 
 def test_nearest_samples_of_many_and_none_and_of_a_file(tmp_path: Path) -> None:
-    template = Template.from_triangles(*shape_mesh({"kind": "sphere", "radius_mm": 5.0}), spacing_mm=0.2)
+    template = Template.from_triangles(*shape_mesh({"kind": "sphere", "radius_mm": 5.0}), spacing_mm=0.5)
     queries = np.random.default_rng(1).uniform(-7.0, 7.0, size=(2000, 3))
     distances_mm, names = cKDTree(template.points_mm).query(queries)
     assert np.array_equal(template.nearest(queries)[0], names)

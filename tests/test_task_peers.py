@@ -334,7 +334,7 @@ def test_a_robot_that_answers_slowly_does_not_delay_the_grippers_stop(
     line.close()
 
 
-@pytest.mark.parametrize("lose_every", [2, 3])
+@pytest.mark.parametrize("lose_every", [2, pytest.param(3, marks=pytest.mark.long)])
 def test_a_stop_comes_through_while_statuses_are_retried(tmp_path: Path, press, lose_every: int) -> None:
     with cell(tmp_path, press) as (host, camera, wire, server):
         closing_begins(server)

@@ -16,7 +16,7 @@ use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
 fn kills() -> u64 {
-    std::env::var("GELSTEREO_KILLS").ok().and_then(|text| text.parse().ok()).unwrap_or(5)
+    std::env::var("GELSTEREO_KILLS").ok().and_then(|text| text.parse().ok()).unwrap_or(3)
 }
 
 /// Delays that spread evenly over a second, in another order than that of time.

@@ -1,4 +1,4 @@
-"""Pairing of left and right images."""
+"""Files of images, and pairs of left and right ones."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from .errors import UnpairedImagesError
+from .errors import CalibrationError, UnpairedImagesError
 
-__all__ = ["ImagePair", "names_swapped", "pair_images"]
+__all__ = ["ImagePair", "expand", "names_swapped", "pair_images"]
 
 
 @dataclass(frozen=True)
@@ -23,6 +23,30 @@ class ImagePair:
     def name(self) -> str:
         """Both file names, for messages."""
         return f"{self.left.name} / {self.right.name}"
+
+
+def expand(patterns: Iterable[str]) -> list[Path]:
+    """Files of names and patterns.
+
+    Raises
+    ------
+    CalibrationError
+        A pattern matches no file.
+    """
+    paths: list[Path] = []
+    for pattern in patterns:
+        if Path(pattern).is_file():
+            paths.append(Path(pattern))
+            continue
+        folder, name = Path(pattern).parent, Path(pattern).name
+        # A pattern without a file name, such as "" or "/", matches nothing.
+        matches = sorted(folder.glob(name)) if name else []
+        if not matches:
+            raise CalibrationError(
+                f"no file matches {pattern!r}; valid is an image, or a pattern such as 'left*.png'"
+            )
+        paths += matches
+    return paths
 
 
 def pair_images(left_paths: Iterable[str | Path], right_paths: Iterable[str | Path]) -> list[ImagePair]:

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from gelstereo._native import Error, Params, parse_toml
+from gelstereo._native import Error, Params, ParamsError, parse_toml
+from gelstereo.calibrate.board_names import BoardKind
 from gelstereo.calibrate.boards import Board
-from gelstereo.calibrate.command import board_kind, board_of_options, expand
 from gelstereo.calibrate.errors import CalibrationError
+from gelstereo.calibrate.pairs import expand
 
 __all__ = ["EXAMPLE", "Plan", "PlanError", "Views"]
 
@@ -55,6 +55,10 @@ right = "gel/board_0.8_right.png"
 height_mm = 1.8
 left = "gel/board_1.8_left.png"
 right = "gel/board_1.8_right.png"
+
+# Settings that you know better, for example the outline of a gel that is not rectangular.
+# [params.detect.roi]
+# left_outline_px = [[120, 40], [520, 40], [600, 240], [520, 440], [120, 440], [40, 240]]
 
 # A part pressed into the gel, with frames at rest before it.
 [presses]
@@ -102,6 +106,8 @@ class Plan:
         Height of each flat board in mm, and its images.
     presses
         Images of presses, with frames at rest before them; ``None`` without any.
+    params
+        Settings that take precedence over what the steps find, as `Params.replace` takes them.
     """
 
     cameras: Views
@@ -113,6 +119,7 @@ class Plan:
     priors: Mapping[str, float] = field(default_factory=dict)
     boards: tuple[tuple[float, Views], ...] = ()
     presses: Views | None = None
+    params: Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod
     def load(cls, path: str | Path) -> Plan:
@@ -127,7 +134,7 @@ class Plan:
         if not path.is_file():
             raise FileNotFoundError(2, "No such plan", str(path))
         tree = parse_toml(path.read_text(encoding="utf-8"))
-        known = {"preset", "cameras", "rest", "layers", "priors", "boards", "presses"}
+        known = {"preset", "cameras", "rest", "layers", "priors", "boards", "presses", "params"}
         _refuse_unknown(tree, known, str(path))
         for name in ("cameras", "rest"):
             if name not in tree:
@@ -156,6 +163,7 @@ class Plan:
                 for board in boards
             ),
             presses=_views(folder, tree["presses"], "[presses]") if "presses" in tree else None,
+            params=_settings(preset, tree.get("params", {})),
         )
 
 
@@ -170,6 +178,24 @@ def _length(tree: Mapping[str, Any], name: str, where: str) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < float("inf"):
         raise PlanError(f"{name} in {where} is {value!r}; valid is a number above 0")
     return float(value)
+
+
+def _settings(preset: str, params: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings by dotted names; checked against the preset."""
+    try:
+        Params.preset(preset).replace(params)
+    except ParamsError as error:
+        raise PlanError(f"[params]: {error}") from error
+    flat: dict[str, Any] = {}
+    open_tables = [("", params)]
+    while open_tables:
+        prefix, table = open_tables.pop()
+        for name, value in table.items():
+            if isinstance(value, Mapping):
+                open_tables.append((f"{prefix}{name}.", value))
+            else:
+                flat[prefix + name] = value
+    return flat
 
 
 def _pitch(rest: Mapping[str, Any]) -> tuple[float, float]:
@@ -206,12 +232,6 @@ def _board(cameras: Mapping[str, Any]) -> Board:
     if not isinstance(text, str):
         raise PlanError(f"board in [cameras] is {text!r}; valid is for example '9x6' or 'charuco:8x6'")
     try:
-        kind = board_kind(text)
-    except argparse.ArgumentTypeError as error:
-        raise PlanError(f"board in [cameras]: {error}") from None
-    given = {name: cameras.get(name) for name in ("square_mm", "marker_mm", "gap_mm", "dictionary")}
-    try:
-        return board_of_options(argparse.Namespace(board=kind, **given))
+        return BoardKind.parse(text).board(cameras)
     except CalibrationError as error:
-        # The command's options have the names of the keys.
-        raise PlanError(f"[cameras]: {str(error).replace('--', '').replace('-mm', '_mm')}") from error
+        raise PlanError(f"[cameras]: {error}") from error
