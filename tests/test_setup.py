@@ -108,7 +108,7 @@ def test_a_wrong_pitch_and_a_short_rest_are_doubted(images: Path, tmp_path: Path
     [
         (("[rest]", "[rests]"), "unknown key 'rests'"),
         (("pitch_mm = 0.8", "pitch_mm = -1"), r"pitch_mm in \[rest\] is -1; valid is a number above 0"),
-        (('board = "9x6"', 'board = "nine"'), "board in .cameras.: 'nine' is not a board"),
+        (('board = "9x6"', 'board = "nine"'), "'nine' is not a board"),
         (("square_mm = 2.0", ""), "square_mm is missing"),
         (("chessboard/left*", "nothing/left*"), r"left in \[cameras\]: .*nothing"),
         (("chessboard/left*.png", "gel/board_0.8_left.png"), "has 1 left and 12 right images"),

@@ -4,7 +4,8 @@ use crate::arrays::{self, Array1, Image, Matrix};
 use crate::errors::raise;
 use crate::params::Params;
 use gelstereo_core::detect as core;
-use gelstereo_core::params::{Channel, DetectParams, Polarity};
+use gelstereo_core::params::{Channel, DetectParams, Polarity, Region};
+use gelstereo_core::rig::View;
 use numpy::{PyArray2, PyArray3};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -116,12 +117,12 @@ pub fn fixed_channel(params: &DetectParams) -> Option<Channel> {
     Some(params.channel).filter(|&channel| channel != Channel::Auto)
 }
 
-/// Region of interest of a view of the settings; `None` for the whole image.
-pub fn roi_px(params: &DetectParams, view: Option<&str>) -> PyResult<Option<[usize; 4]>> {
+/// Region of interest of a view of the settings; the whole image without a view.
+pub fn region<'a>(params: &'a DetectParams, view: Option<&str>) -> PyResult<Region<'a>> {
     match view {
-        None => Ok(None),
-        Some("left") => Ok(params.roi.left_px),
-        Some("right") => Ok(params.roi.right_px),
+        None => Ok(Region::default()),
+        Some("left") => Ok(params.roi.of(View::Left)),
+        Some("right") => Ok(params.roi.of(View::Right)),
         Some(other) => {
             Err(PyValueError::new_err(format!("the view is {other:?}; valid are 'left' and 'right'")))
         }
@@ -134,8 +135,8 @@ impl Detector {
     #[pyo3(signature = (params=None, view=None))]
     fn new(params: Option<&Bound<'_, Params>>, view: Option<&str>) -> PyResult<Self> {
         let params = Params::or_default(params).detect;
-        let roi_px = roi_px(&params, view)?;
-        Ok(Self { stage: Box::new(Mutex::new(core::Detector::new(&params).within(roi_px))), params })
+        let stage = core::Detector::new(&params).within(region(&params, view)?);
+        Ok(Self { stage: Box::new(Mutex::new(stage)), params })
     }
 
     fn __repr__(&self) -> String {

@@ -1,7 +1,7 @@
 //! Tracking of markers of any layout in one camera.
 
 use crate::arrays::{self, Array1, Image, Matrix, Numbers};
-use crate::detect::{fixed_channel, roi_px};
+use crate::detect::{fixed_channel, region};
 use crate::errors::raise;
 use crate::params::Params;
 use gelstereo_core::math::DVec2;
@@ -109,7 +109,7 @@ impl MarkerTracker {
     #[pyo3(signature = (params=None, view=None))]
     fn new(params: Option<&Bound<'_, Params>>, view: Option<&str>) -> PyResult<Self> {
         let params = Params::or_default(params);
-        let stages = core::MarkerTracker::new(&params, roi_px(&params.detect, view)?);
+        let stages = core::MarkerTracker::new(&params, region(&params.detect, view)?);
         let channel = Mutex::new(fixed_channel(&params.detect));
         Ok(Self { stages: Box::new(Mutex::new(stages)), channel, params: params.detect })
     }

@@ -102,7 +102,7 @@ class Inspection:
         return "\n".join(lines)
 
 
-def inspect(image: Image, *, preset: str = "balanced") -> Inspection:
+def inspect(image: Image, *, preset: str = "balanced", outline_px: npt.ArrayLike | None = None) -> Inspection:
     """Find out what an image of a gel shows.
 
     Parameters
@@ -111,6 +111,9 @@ def inspect(image: Image, *, preset: str = "balanced") -> Inspection:
         Image of a gel at rest, grey or blue, green and red as OpenCV reads it.
     preset
         Preset to try, and to start the settings from.
+    outline_px : (N, 2)
+        Corners of a polygon around the gel; what lies outside is left out. It is no part of `settings`, since
+        it holds for one view: set `detect.roi.left_outline_px` and `detect.roi.right_outline_px`.
 
     Raises
     ------
@@ -118,6 +121,9 @@ def inspect(image: Image, *, preset: str = "balanced") -> Inspection:
         If the array is not an image.
     """
     base = Params.preset(preset)
+    if outline_px is not None:
+        corners_px = np.asarray(outline_px, np.float64).tolist()
+        base = base.replace({"detect.roi.left_outline_px": corners_px})
     height, width = np.shape(image)[:2] if np.ndim(image) in (2, 3) else (0, 0)
     found = [_Print.find(image, base, polarity) for polarity in ("dark", "bright")]
     best = max(found, key=lambda each: each.score)
@@ -158,7 +164,7 @@ class _Print:
         params = base.replace({"detect.polarity": polarity})
         markers: Markers | None = None
         try:
-            markers = Detector(params).detect(image)
+            markers = Detector(params, view="left").detect(image)
         except ImageError:
             raise
         except DetectError:
@@ -264,7 +270,7 @@ def _contrast(levels: Image, dots: Array, radius_px: float, spacing_px: tuple[fl
 def _try(image: Image, params: Params) -> str:
     """What detection and lattice make of an image."""
     try:
-        lattice = rest_lattice(Detector(params).detect(image).centres_px, params)
+        lattice = rest_lattice(Detector(params, view="left").detect(image).centres_px, params)
     except Error as error:
         return f"refuses it: {error}"
     missing = int(np.count_nonzero(lattice.filled))

@@ -16,7 +16,7 @@ from gelstereo.inspection import inspect
 from gelstereo.progress import progress
 from gelstereo.setup.layers import params_of
 from gelstereo.setup.plan import Plan
-from gelstereo.setup.prints import pitch_setting
+from gelstereo.setup.prints import outline_px, pitch_setting
 from gelstereo.setup.sensor import Sensor
 from gelstereo.setup.step import Figure, Step
 from gelstereo.states import MarkerState
@@ -143,7 +143,9 @@ def _noise(frames: list[Frame]) -> _Rest:
 
 
 def _gel(plan: Plan, found: _Rest, frame: Frame) -> dict[str, Any]:
-    seen = inspect(read_color_image(plan.rest.left[0]), preset=plan.preset)
+    seen = inspect(
+        read_color_image(plan.rest.left[0]), preset=plan.preset, outline_px=outline_px(plan, "left")
+    )
     middle = found.points_mm.mean(axis=0)
     radius_mm = 0.5 * seen.dot_px / np.mean(seen.layout.spacing_px) * np.mean(plan.pitch_mm)
     point = found.measured_mm if np.isfinite(found.measured_mm) else found.stated_mm

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from gelstereo.cli.files import read_color_image
 from gelstereo.extras import needs
 from gelstereo.inspection import inspect
@@ -12,7 +14,7 @@ from gelstereo.setup.step import Figure, Step
 with needs(__name__):
     import cv2
 
-__all__ = ["look", "pitch_setting"]
+__all__ = ["look", "outline_px", "pitch_setting"]
 
 #: Dots that differ less from the gel, in units of the pixels' noise, are measured badly: the error of a
 #: centre is inverse to this ratio.
@@ -25,11 +27,24 @@ def pitch_setting(plan: Plan) -> float | list[float]:
     return x_mm if x_mm == y_mm else [x_mm, y_mm]
 
 
+def outline_px(plan: Plan, view: str) -> Any:
+    """Polygon around the gel in a view's image, from the plan's settings; ``None`` without one."""
+    if corners_px := plan.params.get(f"detect.roi.{view}_outline_px"):
+        return corners_px
+    if (rect_px := plan.params.get(f"detect.roi.{view}_px")) is None:
+        return None
+    x, y, width, height = rect_px
+    return [[x, y], [x + width, y], [x + width, y + height], [x, y + height]]
+
+
 def look(plan: Plan) -> Step:
     """Inspect the print in both views, and choose the settings from the left one."""
     views = {"left": plan.rest.left[0], "right": plan.rest.right[0]}
     images = {view: read_color_image(path) for view, path in views.items()}
-    found = {view: inspect(image, preset=plan.preset) for view, image in images.items()}
+    found = {
+        view: inspect(image, preset=plan.preset, outline_px=outline_px(plan, view))
+        for view, image in images.items()
+    }
     figures, doubts = [], []
     for view, seen in found.items():
         layout = seen.layout
@@ -54,7 +69,7 @@ def look(plan: Plan) -> Step:
         doubts.append(
             f"the print shows best in {left.channel} in the left view, and otherwise in the right one"
         )
-    settings = {**left.settings, "lattice.pitch_mm": pitch_setting(plan)}
+    settings = {**left.settings, "lattice.pitch_mm": pitch_setting(plan), **plan.params}
     _, content = cv2.imencode(".png", draw_inspection(images["left"], left))
     caption = "Left view at rest. Dots on the lattice have green rings, others red ones."
     return Step(

@@ -62,7 +62,7 @@ def set_up(plan: Plan, output: str | Path, report: Callable[[str], None] = lambd
     found = run("cameras", _files(plan.cameras), plan.board, lambda: cameras.calibrate(plan))
     rig = Rig.from_toml(found.values["rig"])
     settings = run(
-        "print", _files(plan.rest), (plan.preset, plan.pitch_mm), lambda: prints.look(plan)
+        "print", _files(plan.rest), (plan.preset, plan.pitch_mm, plan.params), lambda: prints.look(plan)
     ).values["settings"]
     images = [path for _, views in plan.boards for path in _files(views)]
     facts = (plan.layers, plan.priors, [height_mm for height_mm, _ in plan.boards])
@@ -73,7 +73,7 @@ def set_up(plan: Plan, output: str | Path, report: Callable[[str], None] = lambd
         found = run("presses", _files(plan.presses), None, lambda: gel.presses(plan, rig, settings))
         values |= found.values["gel"]
         if found.is_good:
-            settings = {**settings, "contact.decay_mm": values["decay_mm"]}
+            settings = {**settings, "contact.decay_mm": values["decay_mm"], **plan.params}
     path = output / "sensor.toml"
     path.write_text(sensor_text(rig, plan.preset, settings, values), encoding="utf-8")
     write_report(output / "report.html", steps)

@@ -7,13 +7,14 @@ use super::found::Found;
 use super::markers::{Markers, max_markers};
 use super::mask::segmentation::Segmentation;
 use super::mask::threshold::MIN_LEVELS;
+use super::outline::Outline;
 use super::search::half::{self, HalfSize};
 use super::search::whole;
 use super::search::windows::WindowSearch;
 use super::window::size::MarkerSize;
 use crate::image::GrayView;
 use crate::math::{DVec2, ceil, sqrt};
-use crate::params::{Centre, DetectParams, FindAt, Threshold};
+use crate::params::{Centre, DetectParams, FindAt, Region, Threshold};
 use alloc::vec::Vec;
 
 /// The detection stage and its scratch.
@@ -27,6 +28,8 @@ pub struct Detector {
     glares: Glares,
     /// Region of interest: first column and row, width and height; `None` for the whole image.
     roi_px: Option<[usize; 4]>,
+    /// In coordinates of the region of interest.
+    outline: Outline,
     /// Size of the region searched.
     size_px: (usize, usize),
     whole_px: (usize, usize),
@@ -45,18 +48,25 @@ impl Detector {
             windows: WindowSearch::new(params),
             glares: Glares::default(),
             roi_px: None,
+            outline: Outline::default(),
             size_px: (0, 0),
             whole_px: (0, 0),
             areas_px2: Vec::new(),
         }
     }
 
-    /// Restricts the search to a region of interest: first column and row, width and height, pixels.
-    /// Positions stay in coordinates of the whole image. Markers cut by the region's border are listed in
-    /// [`Markers::cut`].
+    /// Restricts the search to a region of interest. Positions stay in coordinates of the whole image.
+    /// Markers cut by the border of its rectangle are listed in [`Markers::cut`]. Outside of its outline
+    /// nothing is a marker.
     #[must_use]
-    pub fn within(self, roi_px: Option<[usize; 4]>) -> Self {
-        Self { roi_px, ..self }
+    pub fn within(self, Region { rect_px, outline_px }: Region<'_>) -> Self {
+        let [x, y, ..] = rect_px.unwrap_or_default();
+        let outline = Outline::new(outline_px, DVec2::new(x as f64, y as f64));
+        let mut windows = self.windows;
+        windows.outline = Outline::new(outline_px, DVec2::ZERO);
+        // The outline is not known to the search at half size.
+        let half = self.half.filter(|_| outline.is_everywhere());
+        Self { roi_px: rect_px, outline, windows, half, ..self }
     }
 
     /// Discards what was learned from earlier images (the usual marker of [`Centre::Fit`], the noise of
@@ -83,13 +93,13 @@ impl Detector {
         out.reserve(max, max.min(image.width() + image.height()));
         self.areas_px2.clear();
         self.areas_px2.reserve(max);
-        let Self { params, segmentation, half, rung, areas_px2, .. } = self;
+        let Self { params, outline, segmentation, half, rung, areas_px2, .. } = self;
         let is_complete = match (half, &mut *rung) {
             (Some(half), Rung::SoftThreshold(rung)) => half.run(image, rung, areas_px2, max, out),
             _ => false,
         };
         if !is_complete {
-            whole::run(params, image, segmentation, areas_px2, rung.get(), out)?;
+            whole::run(params, image, outline, segmentation, areas_px2, rung.get(), out)?;
         }
         self.doubt_under_glare(image, out);
         out.shift(origin_px);

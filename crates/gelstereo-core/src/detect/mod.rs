@@ -10,6 +10,7 @@ mod found;
 mod markers;
 #[doc(hidden)]
 pub mod mask;
+mod outline;
 mod search;
 mod window;
 

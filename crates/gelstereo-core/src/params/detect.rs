@@ -1,7 +1,6 @@
 //! Finding markers in one image.
 
-use super::{ParamsError, check};
-use crate::rig::View;
+use super::{ParamsError, RoiParams, check};
 
 /// Whether markers are darker or brighter than the gel around them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -133,35 +132,6 @@ impl Default for FitParams {
     }
 }
 
-/// The part of each camera's image in which markers are searched.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[cfg_attr(
-    feature = "serde",
-    derive(serde::Serialize, serde::Deserialize),
-    serde(default, deny_unknown_fields)
-)]
-pub struct RoiParams {
-    /// First column and row, width and height of the part of the left image; absent: all of it. Valid: sides
-    /// of 1 px and more, within the image. Default: absent. Set it where a tray or a mount beside the gel has
-    /// spots like markers, and to save time.
-    #[cfg_attr(feature = "serde", serde(skip_serializing_if = "Option::is_none"))]
-    pub left_px: Option<[usize; 4]>,
-    /// The same of the right image. Default: absent. Set it as `left_px`.
-    #[cfg_attr(feature = "serde", serde(skip_serializing_if = "Option::is_none"))]
-    pub right_px: Option<[usize; 4]>,
-}
-
-impl RoiParams {
-    /// Of one view: first column and row, width and height.
-    #[must_use]
-    pub const fn of(&self, view: View) -> Option<[usize; 4]> {
-        match view {
-            View::Left => self.left_px,
-            View::Right => self.right_px,
-        }
-    }
-}
-
 /// Finding markers in one image.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(
@@ -274,12 +244,7 @@ impl DetectParams {
         check((0.0..=1.0).contains(&self.min_fill), "detect.min_fill", self.min_fill, "from 0 to 1")?;
         let sigma = self.centre_sigma_px;
         check((1e-4..=100.0).contains(&sigma), "detect.centre_sigma_px", sigma, "0.0001 to 100 px")?;
-        for (name, roi) in
-            [("detect.roi.left_px", self.roi.left_px), ("detect.roi.right_px", self.roi.right_px)]
-        {
-            let side = roi.map_or(1, |[_, _, width, height]| width.min(height));
-            check(side > 0, name, side as f64, "a width and a height of 1 px or more")?;
-        }
+        self.roi.validate()?;
         if let Some(blur) = self.fit.blur_px {
             check((0.3..=5.0).contains(&blur), "detect.fit.blur_px", blur, "0.3 to 5 px, or absent")?;
         }

@@ -11,13 +11,12 @@ mod pitch;
 mod presets;
 mod register;
 mod renamed;
+mod roi;
 mod track;
 mod triangulate;
 
 pub use contact::{ContactParams, Saliency};
-pub use detect::{
-    Background, Centre, Channel, DetectParams, FindAt, FitParams, Polarity, RoiParams, Search, Threshold,
-};
+pub use detect::{Background, Centre, Channel, DetectParams, FindAt, FitParams, Polarity, Search, Threshold};
 pub use label::{LabelMethod, LabelParams};
 pub use lattice::LatticeParams;
 pub use pitch::Pitch;
@@ -26,6 +25,7 @@ pub use register::{
     SurfaceSearchParams,
 };
 pub use renamed::{former, renamed_setting, replaced_method};
+pub use roi::{Region, RoiParams};
 pub use track::{Motion, TrackParams};
 pub use triangulate::{DiscBias, TriangulateMethod, TriangulateParams};
 

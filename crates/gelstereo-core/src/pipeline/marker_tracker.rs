@@ -2,7 +2,7 @@
 
 use crate::detect::{DetectError, Detector, Markers, max_markers};
 use crate::image::GrayView;
-use crate::params::Params;
+use crate::params::{Params, Region};
 use crate::track::{Certainty, ScatteredTracker, TooFewMarkers, Tracks};
 use core::fmt;
 
@@ -54,12 +54,11 @@ pub struct MarkerTracker {
 }
 
 impl MarkerTracker {
-    /// A tracker that waits for its rest image. The search is within `roi_px` (first column and row, width
-    /// and height), or in the whole image.
+    /// A tracker that waits for its rest image. The search is within a region of interest.
     #[must_use]
-    pub fn new(params: &Params, roi_px: Option<[usize; 4]>) -> Self {
+    pub fn new(params: &Params, region: Region<'_>) -> Self {
         Self {
-            detector: Detector::new(&params.detect).within(roi_px),
+            detector: Detector::new(&params.detect).within(region),
             params: params.clone(),
             tracker: None,
             size_px: (0, 0),

@@ -76,7 +76,7 @@ impl Pipeline {
         let triangulator = Triangulator::new(rig, &params.triangulate).map_err(PipelineError::Triangulate)?;
         let size = |camera: &crate::camera::Camera| (camera.width_px, camera.height_px);
         for (view, (width, height)) in [(View::Left, size(&rig.left)), (View::Right, size(&rig.right))] {
-            let roi_px = params.detect.roi.of(view);
+            let roi_px = params.detect.roi.of(view).rect_px;
             if let Some(error) = roi_px.and_then(|roi_px| DetectError::beyond(roi_px, (width, height))) {
                 return Err(PipelineError::Detect { view, error });
             }

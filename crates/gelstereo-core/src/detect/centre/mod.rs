@@ -25,7 +25,7 @@ use crate::image::GrayView;
 pub(super) struct Components<'a> {
     pub image: GrayView<'a>,
     pub segmentation: &'a mut Segmentation,
-    pub filter: &'a BlobFilter,
+    pub filter: &'a BlobFilter<'a>,
     /// Largest number of markers of an image of this size.
     pub max_markers: usize,
 }

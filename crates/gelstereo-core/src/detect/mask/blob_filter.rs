@@ -3,6 +3,7 @@
 use super::components::Blob;
 use super::usual_area::{area_range_px2, regular_area_px2, usual_area_px2};
 use crate::detect::markers::CutMarker;
+use crate::detect::outline::Outline;
 use crate::params::{DetectParams, Threshold};
 use alloc::vec::Vec;
 
@@ -10,9 +11,10 @@ use alloc::vec::Vec;
 pub(in crate::detect) const AREA_SPREAD: f64 = 0.2;
 
 /// Area and shape limits of the markers of one image.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(in crate::detect) struct BlobFilter {
+#[derive(Clone, Copy, Debug)]
+pub(in crate::detect) struct BlobFilter<'a> {
     size_px: (usize, usize),
+    outline: &'a Outline,
     min_area_px2: u32,
     max_area_px2: u32,
     min_fill: f64,
@@ -22,18 +24,20 @@ pub(in crate::detect) struct BlobFilter {
     pub range_px2: (u32, u32),
 }
 
-impl BlobFilter {
+impl<'a> BlobFilter<'a> {
     /// Builds the filter from the components of an image of this size, and counts those that are markers
     /// by their own area and shape. `areas_px2` is scratch.
     pub fn of(
         blobs: &[Blob],
         params: &DetectParams,
         size_px: (usize, usize),
+        outline: &'a Outline,
         areas_px2: &mut Vec<u32>,
     ) -> (Self, usize) {
         let &DetectParams { min_area_px2, max_area_px2, min_fill, .. } = params;
+        let range_px2 = (0, u32::MAX);
         let mut sieve =
-            Self { size_px, min_area_px2, max_area_px2, min_fill, usual_px2: 0.0, range_px2: (0, u32::MAX) };
+            Self { size_px, outline, min_area_px2, max_area_px2, min_fill, usual_px2: 0.0, range_px2 };
         let mut found = 0;
         areas_px2.clear();
         for blob in blobs.iter().filter(|blob| sieve.is_marker(blob)) {
@@ -72,9 +76,11 @@ impl BlobFilter {
         is_one.then(|| cut_marker(blob, blob.sides_reached(self.size_px), self.usual_px2, variance))
     }
 
-    /// Whether a component has a plausible area and is round enough.
+    /// Whether a component has a plausible area, is round enough and lies within the outline.
     fn is_marker(&self, blob: &Blob) -> bool {
-        (self.min_area_px2..=self.max_area_px2).contains(&blob.area_px2) && in_shape(blob, self.min_fill)
+        (self.min_area_px2..=self.max_area_px2).contains(&blob.area_px2)
+            && in_shape(blob, self.min_fill)
+            && self.outline.contains(blob.mean_px())
     }
 
     /// Whether a component reaches the outermost pixels of the image.

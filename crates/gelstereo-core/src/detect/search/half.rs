@@ -13,6 +13,7 @@ use crate::detect::mask::blob_filter::BlobFilter;
 use crate::detect::mask::components::Blob;
 use crate::detect::mask::segmentation::Segmentation;
 use crate::detect::mask::usual_area::area_range_px2;
+use crate::detect::outline::EVERYWHERE;
 use crate::detect::window::size::MarkerSize;
 use crate::detect::window::sized::SizedClassifier;
 use crate::image::GrayView;
@@ -54,16 +55,21 @@ impl Halved {
         image: GrayView<'_>,
         params: &DetectParams,
         areas_px2: &mut Vec<u32>,
-    ) -> Option<BlobFilter> {
+    ) -> Option<BlobFilter<'static>> {
         let size_px = (image.width() / SCALE, image.height() / SCALE);
         halve(image, &mut self.levels);
         let half = GrayView::new(&self.levels, size_px.0, size_px.1, size_px.0).ok()?;
         self.segmentation.run(half).ok()?;
-        Some(BlobFilter::of(self.segmentation.components.blobs(), params, size_px, areas_px2).0)
+        Some(BlobFilter::of(self.segmentation.components.blobs(), params, size_px, &EVERYWHERE, areas_px2).0)
     }
 
     /// Whether all selected components are specks, or markers that lie entirely in the image.
-    fn is_clear(&self, filter: &BlobFilter, params: &DetectParams, counts: impl Fn(&Blob) -> bool) -> bool {
+    fn is_clear(
+        &self,
+        filter: &BlobFilter<'_>,
+        params: &DetectParams,
+        counts: impl Fn(&Blob) -> bool,
+    ) -> bool {
         // Areas of the smallest marker, and of the largest component that is not a marker.
         let (mut min_px2, mut largest_px2) = (u32::MAX, None);
         for blob in self.segmentation.components.blobs().iter().filter(|blob| counts(blob)) {

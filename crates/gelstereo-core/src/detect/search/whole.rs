@@ -5,6 +5,7 @@ use crate::detect::error::DetectError;
 use crate::detect::markers::{Markers, max_markers};
 use crate::detect::mask::blob_filter::BlobFilter;
 use crate::detect::mask::segmentation::Segmentation;
+use crate::detect::outline::Outline;
 use crate::image::GrayView;
 use crate::params::DetectParams;
 use alloc::vec::Vec;
@@ -16,6 +17,7 @@ use alloc::vec::Vec;
 pub(in crate::detect) fn run(
     params: &DetectParams,
     image: GrayView<'_>,
+    outline: &Outline,
     segmentation: &mut Segmentation,
     areas_px2: &mut Vec<u32>,
     rung: &mut dyn CentreRung,
@@ -24,7 +26,8 @@ pub(in crate::detect) fn run(
     segmentation.run(image)?;
     let size_px = (image.width(), image.height());
     let max_markers = max_markers(params, size_px);
-    let (filter, found) = BlobFilter::of(segmentation.components.blobs(), params, size_px, areas_px2);
+    let (filter, found) =
+        BlobFilter::of(segmentation.components.blobs(), params, size_px, outline, areas_px2);
     if found > max_markers {
         return Err(DetectError::TooMany { found, max: max_markers });
     }

@@ -5,6 +5,7 @@ use crate::detect::centre::covered;
 use crate::detect::centre::weighted::WeightedCentroid;
 use crate::detect::found::{Found, WindowObservation};
 use crate::detect::mask::blob_filter::in_shape;
+use crate::detect::outline::Outline;
 use crate::detect::window::classifier::{WindowClass, WindowClassifier, WindowMarker};
 use crate::detect::window::components::WindowComponents;
 use crate::detect::window::pixels::flip;
@@ -39,6 +40,8 @@ struct Seen {
 #[derive(Clone, Debug)]
 pub(in crate::detect) struct WindowSearch {
     params: DetectParams,
+    /// In coordinates of the whole image.
+    pub outline: Outline,
     weighted: WeightedCentroid,
     seen: Vec<Seen>,
     components: WindowComponents,
@@ -52,6 +55,7 @@ impl WindowSearch {
     pub fn new(params: &DetectParams) -> Self {
         Self {
             params: params.clone(),
+            outline: Outline::default(),
             weighted: WeightedCentroid::new(params),
             seen: Vec::new(),
             components: WindowComponents::default(),
@@ -126,6 +130,7 @@ impl WindowSearch {
             let (at_px, position) = (expected_px[position], position as u32);
             let near = |c: DVec2| (c - at_px).abs().max_element() <= max_off_px;
             out.sights.push(match glance {
+                _ if !self.outline.contains(at_px) => WindowObservation::Nothing,
                 WindowClass::Marker(marker) if near(marker.centre_px) => {
                     let WindowMarker { centre_px, area_px2, band } = marker;
                     self.seen.push(Seen { position, centre_px, area_px2, band, alive: true });
