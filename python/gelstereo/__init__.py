@@ -75,6 +75,7 @@ from gelstereo._native import (
     localize,
     pressure_saliency,
     rest_lattice,
+    skin_over,
     triangulate,
     triangulate_covariance,
 )
@@ -151,6 +152,7 @@ __all__ = [
     "pressure_saliency",
     "rest_lattice",
     "simulate",
+    "skin_over",
     "templates",
     "triangulate",
     "triangulate_covariance",

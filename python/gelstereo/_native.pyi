@@ -95,6 +95,7 @@ __all__ = [
     "se3_log",
     "shape_mesh",
     "sights",
+    "skin_over",
     "so3_exp",
     "so3_from_matrix",
     "so3_left_jacobian",
@@ -359,6 +360,14 @@ def adaptive_saliency(
     cols: int,
     max_decay_mm: float,
 ) -> tuple[npt.NDArray[np.bool_], tuple[Literal["pressure", "share"], float] | None]: ...
+def skin_over(
+    rest: RestSurface,
+    points_mm: npt.ArrayLike,
+    covariance_mm2: npt.ArrayLike,
+    *,
+    cols: int,
+    depth_mm: float,
+) -> tuple[_Floats, _Floats]: ...
 
 @final
 class DenseSurface:

@@ -54,6 +54,7 @@ mod register_sample_laws;
 mod register_scans;
 mod register_surface;
 mod rigid_fit;
+mod skin;
 mod solid;
 mod stop;
 mod symmetric_copies;

@@ -4,7 +4,10 @@ use crate::arrays::{self, Array1, Count, Matrix, Numbers};
 use crate::errors::raise;
 use gelstereo_core::contact as core;
 use gelstereo_core::math::DVec3;
+use gelstereo_core::pipeline::Skin;
 use gelstereo_core::track::MarkerState;
+use numpy::PyArray3;
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
 /// The markers without contact, and the plane fitted through them.
@@ -183,6 +186,67 @@ pub fn adaptive_saliency(
     let found =
         adaptive.run(heights, variances.list()?.iter().copied(), &state, &mut salient).map_err(raise)?;
     Ok((arrays::list(py, salient), found.map(rule_name)))
+}
+
+/// Find the gel's skin over a print that lies below it (`lattice.depth_mm`).
+///
+/// The layer between print and skin keeps its volume: the skin lies ``depth_mm`` / area ratio from a marker,
+/// along the normal of the print's surface. Measured on gels solved by finite elements; see docs/outside.md.
+///
+/// Parameters
+/// ----------
+/// rest : RestSurface
+///     Of the markers, row by row.
+/// points_mm : (N, 3) array_like
+///     The same markers now, sensor frame.
+/// covariance_mm2 : (N, 3, 3) array_like
+/// cols : int
+///     Markers in a row.
+/// depth_mm : float
+///     Depth of the print below the skin.
+///
+/// Returns
+/// -------
+/// points_mm : (N, 3) float64
+/// covariance_mm2 : (N, 3, 3) float64
+///     With the markers' noise, and what the law of constant volume leaves open.
+///
+/// Raises
+/// ------
+/// ContactError
+///     If the number of markers differs or a coordinate is not finite.
+#[pyfunction]
+#[pyo3(signature = (rest, points_mm, covariance_mm2, *, cols, depth_mm))]
+pub fn skin_over(
+    py: Python<'_>,
+    rest: &RestSurface,
+    points_mm: &Bound<'_, PyAny>,
+    covariance_mm2: &Bound<'_, PyAny>,
+    cols: Count,
+    depth_mm: f64,
+) -> PyResult<(Matrix, Py<PyArray3<f64>>)> {
+    let (points, covariances) =
+        (Numbers::new(points_mm, "points_mm")?, Numbers::new(covariance_mm2, "covariance_mm2")?);
+    let mut points = points.rows::<DVec3, 3>()?.to_vec();
+    let mut covariances = covariances.matrices()?.to_vec();
+    // It refuses a number of markers that differs, and what is not finite.
+    rest.inner.indentation_mm(&points, &mut Vec::new()).map_err(raise)?;
+    if covariances.len() != points.len() {
+        let (found, expected) = (covariances.len(), points.len());
+        return Err(PyValueError::new_err(format!(
+            "covariance_mm2 has {found} matrices for {expected} points; valid is one of each"
+        )));
+    }
+    if !(0.0..=100.0).contains(&depth_mm) || cols.0 == 0 {
+        return Err(PyValueError::new_err(format!(
+            "depth_mm is {depth_mm} and cols {}; valid are 0 to 100 mm, and 1 or more",
+            cols.0
+        )));
+    }
+    let mut skin = Skin::new(&rest.inner, cols.0, depth_mm).map_err(raise)?;
+    skin.lift(&mut points, &mut covariances);
+    let (count, flat) = (covariances.len(), covariances.into_iter().flatten().flatten().collect());
+    Ok((arrays::rows::<_, 3>(py, points)?, arrays::shaped(py, flat, [count, 3, 3])?))
 }
 
 /// Marker states from heights: NaN marks a marker that was not measured.

@@ -49,7 +49,7 @@ mod _native {
     #[pymodule_export]
     use crate::codec::{Blink1Command, TaraAssembly, TaraRequest, hid_udev_rule};
     #[pymodule_export]
-    use crate::contact::{RestSurface, adaptive_saliency, pressure_saliency};
+    use crate::contact::{RestSurface, adaptive_saliency, pressure_saliency, skin_over};
     #[pymodule_export]
     use crate::detect::{Detector, Markers};
     #[pymodule_export]

@@ -3,6 +3,15 @@
 /// A symmetric N x N matrix, stored in full, row by row.
 pub type Symmetric<const N: usize> = [[f64; N]; N];
 
+/// Adds w u uᵀ.
+pub(crate) fn add_outer<const N: usize>(matrix: &mut Symmetric<N>, weight: f64, u: [f64; N]) {
+    for (row, along) in matrix.iter_mut().zip(u) {
+        for (entry, across) in row.iter_mut().zip(u) {
+            *entry += weight * (along * across);
+        }
+    }
+}
+
 /// The upper triangle of a symmetric matrix; entries below the diagonal stay zero.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Triangle<const N: usize>(pub Symmetric<N>);

@@ -30,6 +30,11 @@ pub struct LatticeParams {
     /// radius is known.
     #[cfg_attr(feature = "serde", serde(skip_serializing_if = "Option::is_none"))]
     pub dot_radius_mm: Option<f64>,
+    /// Depth of the print below the gel's skin, on the side of the part. The points of a frame are those of
+    /// the skin over the markers, where the part is. Valid: 0 to 100 mm. Default: `0` mm, the print is the
+    /// skin. Set it to what the maker states: parts else seem
+    /// to lie this much nearer to the cameras.
+    pub depth_mm: f64,
     /// Share of the printed markers that may be missing in the rest frame; they are filled in from their
     /// neighbours, as the paper does for the corner that its print lacks (Fig. 4). Valid: 0 to 0.5. Default:
     /// `0.01`, 6 of 625. Raise it for a worn print; lower it so that a bad rest frame is refused sooner.
@@ -48,6 +53,7 @@ impl Default for LatticeParams {
             cols: None,
             pitch_mm: Pitch::square(0.9),
             dot_radius_mm: None,
+            depth_mm: 0.0,
             max_missing_share: 0.01,
             missing: Vec::new(),
         }
@@ -89,6 +95,8 @@ impl LatticeParams {
             let valid = radius >= 1e-4 && 2.0 * radius < self.pitch_mm.x_mm.min(self.pitch_mm.y_mm);
             check(valid, "lattice.dot_radius_mm", radius, "0.0001 mm to below half of lattice.pitch_mm")?;
         }
+        let depth = self.depth_mm;
+        check((0.0..=100.0).contains(&depth), "lattice.depth_mm", depth, "0 to 100 mm")?;
         let share = self.max_missing_share;
         check((0.0..=0.5).contains(&share), "lattice.max_missing_share", share, "from 0 to 0.5")
     }

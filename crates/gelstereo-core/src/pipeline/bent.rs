@@ -1,7 +1,7 @@
 //! Covariance of the points due to bending of the gel within a dot.
 
 use crate::math::DVec3;
-use crate::math::linalg::Symmetric;
+use crate::math::linalg::{Symmetric, add_outer};
 
 /// Radius of a dot in pitches where it is unknown: 0.2 to 0.3 are usual.
 const USUAL_RADIUS_PITCHES: f64 = 0.25;
@@ -52,12 +52,12 @@ pub(super) fn add(
             {
                 if place >= 2 && place + 2 < count {
                     let fold = fold(|i| points_mm[i] - rest_mm[i], i, step);
-                    add_square(covariance, cube * MOVED * share, fold);
+                    add_outer(covariance, cube * MOVED * share, fold.to_array());
                     square += share * fold.length_squared();
                 }
             }
             let along = (points_mm[i + step] - points_mm[i - step]).normalize_or_zero();
-            add_square(covariance, cube * WEIGHED * (square - noise).max(0.0), along);
+            add_outer(covariance, cube * WEIGHED * (square - noise).max(0.0), along.to_array());
         }
     }
 }
@@ -69,15 +69,6 @@ fn fold(moved_mm: impl Fn(usize) -> DVec3, i: usize, step: usize) -> DVec3 {
     let beyond = moved_mm(i - 2 * step) + moved_mm(i + 2 * step);
     // a(i) - (a(i - 1) + a(i + 1)) / 2 of the second differences a.
     beside * 2.0 - moved_mm(i) * 3.0 - beyond * 0.5
-}
-
-/// Adds share v vᵀ.
-fn add_square(covariance: &mut Symmetric<3>, share: f64, v: DVec3) {
-    for (row, along) in covariance.iter_mut().zip(v.to_array()) {
-        for (entry, across) in row.iter_mut().zip(v.to_array()) {
-            *entry += share * (along * across);
-        }
-    }
 }
 
 #[cfg(test)]

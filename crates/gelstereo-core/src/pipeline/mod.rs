@@ -10,6 +10,7 @@ mod marker_tracker;
 mod pitch;
 mod rest_record;
 mod resume;
+mod skin;
 mod view;
 mod windows;
 
@@ -18,6 +19,7 @@ pub use frame::{Frame, LabelSource, Searched, Touch, ViewEvidence};
 pub use marker_tracker::{MarkerTracker, MarkerTrackerError};
 pub use pitch::PitchCheck;
 pub use rest_record::{RestRecord, RestRecordError, RestView};
+pub use skin::Skin;
 
 use crate::contact::{self, ContactDetector, ContactRule, Decay, MarkerHeights, RestSurface, StereoMismatch};
 use crate::detect::DetectError;
@@ -42,6 +44,8 @@ pub struct Pipeline {
     left: ViewStages,
     right: ViewStages,
     rest: Option<RestSurface>,
+    /// With `lattice.depth_mm` above 0, since the rest frame.
+    skin: Option<Skin>,
     contact: ContactDetector,
     rest_variance_mm2: Vec<f64>,
     epipolar: Epipolar,
@@ -87,6 +91,7 @@ impl Pipeline {
             left: ViewStages::new(View::Left, size(&rig.left), params),
             right: ViewStages::new(View::Right, size(&rig.right), params),
             rest: None,
+            skin: None,
             contact: ContactDetector::new(&params.contact),
             rest_variance_mm2: Vec::new(),
             epipolar: Epipolar::default(),
@@ -113,10 +118,11 @@ impl Pipeline {
         self.triangulator.rig()
     }
 
-    /// The rest surface, once a rest frame was processed.
+    /// The rest surface of the points, once a rest frame was processed: of the skin over the markers, or of
+    /// the markers where `lattice.depth_mm` is 0.
     #[must_use]
-    pub const fn rest(&self) -> Option<&RestSurface> {
-        self.rest.as_ref()
+    pub fn rest(&self) -> Option<&RestSurface> {
+        self.skin.as_ref().map(Skin::rest).or(self.rest.as_ref())
     }
 
     /// The gel's decay length estimated from the contacts since the rest frame; `None` until they
@@ -149,6 +155,7 @@ impl Pipeline {
     /// Clears tracks, rest surface and reference: the next frame is the rest frame.
     pub fn reset(&mut self) {
         self.rest = None;
+        self.skin = None;
         self.contact.forget();
         self.epipolar = Epipolar::default();
         self.frames = 0;
@@ -290,6 +297,11 @@ impl Pipeline {
         let (cols, pitch_px) = (self.left.cols, self.left.pitch_px);
         self.slips.learn(&self.triangulator, &rest, [centres(left), centres(right)], cols, pitch_px);
         copy_into(&left.positions_px, &mut self.reference_px);
+        let depth_mm = self.params.lattice.depth_mm;
+        self.skin = match depth_mm > 0.0 {
+            true => Some(Skin::new(&rest, cols, depth_mm).map_err(PipelineError::Contact)?),
+            false => None,
+        };
         self.rest = Some(rest);
         Ok(())
     }
@@ -368,6 +380,11 @@ impl Pipeline {
         let share = self.params.contact.patch_share;
         contact::patch(&out.indentation_mm, &out.salient, share, &mut out.patch);
         out.decay_mm = self.contact.decay_mm();
+        if let Some(skin) = &mut self.skin {
+            skin.lift(&mut out.points_mm, &mut out.covariance_mm2);
+            let rest = skin.rest();
+            rest.indentation_mm(&out.points_mm, &mut out.indentation_mm).map_err(PipelineError::Contact)?;
+        }
         out.motion_px = contact::mean_motion_px(&self.reference_px, &out.left_px, &out.state);
         out.left = self.left.evidence;
         out.right = self.right.evidence;

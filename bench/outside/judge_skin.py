@@ -1,0 +1,119 @@
+"""The skin over prints that lie below it: `python -m outside.judge_skin [--half w]`.
+
+Layers inside gels that were solved by finite elements are taken for prints. `gelstereo.skin_over` gives the
+skin over their markers; its distance from the ball is the error. Beside it stand the skin at constant
+thickness and the markers themselves.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+import gelstereo
+
+from .skin import ALONG_MM, DATA, DEPTHS_MM
+
+Array = npt.NDArray[np.float64]
+
+#: Pitch of the prints, and where their lattices stand to the ball, mm.
+PITCH_MM = 0.85
+OFFSETS_MM = ((0.0, 0.0), (0.21, -0.13), (0.4, 0.3))
+SIDE = 15
+#: Rings of a contact, in shares of its radius.
+RINGS = {"inner": (0.0, 0.7), "edge": (0.7, 0.95)}
+
+
+@dataclass(frozen=True)
+class Print:
+    """A print under a ball. Positions are from the axis, z away from the gel's back."""
+
+    rest_mm: Array
+    points_mm: Array
+    depth_mm: float
+    ball_mm: Array
+    radius_mm: float
+    touching_mm: float
+
+    @property
+    def away_mm(self) -> Array:
+        """Distance of each marker from the axis, at rest."""
+        return np.asarray(np.hypot(self.rest_mm[:, 0], self.rest_mm[:, 1]))
+
+    def error_mm(self, points_mm: Array) -> Array:
+        """Signed distance from the ball."""
+        return np.asarray(np.linalg.norm(points_mm - self.ball_mm, axis=1) - self.radius_mm)
+
+
+def prints(half: str | None = None) -> Iterator[Print]:
+    """All prints of a half, or of both."""
+    for path in sorted(DATA.glob("*.npz")):
+        with np.load(path) as file:
+            meta, touching, motion = json.loads(str(file["meta"])), file["touching_mm"], file["motion_mm"]
+        if half not in (None, meta["half"]):
+            continue
+        for stage, pressed_mm in enumerate(meta["depths_mm"]):
+            ball_mm = np.array([0.0, 0.0, meta["thickness_mm"] - pressed_mm + meta["radius_mm"]])
+            for level, depth_mm in enumerate(DEPTHS_MM[1:], start=1):
+                for offset in OFFSETS_MM:
+                    rest, points = _moved(motion[stage, level], offset, meta["thickness_mm"] - depth_mm)
+                    yield Print(rest, points, depth_mm, ball_mm, meta["radius_mm"], float(touching[stage]))
+
+
+def _moved(motion_mm: Array, offset: tuple[float, float], z_mm: float) -> tuple[Array, Array]:
+    along = PITCH_MM * (np.arange(SIDE) - SIDE // 2)
+    x, y = (axis.ravel() for axis in np.meshgrid(along + offset[0], along + offset[1]))
+    r = np.hypot(x, y)
+    out, up = (np.interp(r, ALONG_MM, motion_mm[:, axis]) for axis in (0, 1))
+    grown = 1.0 + out / np.maximum(r, 1e-9)
+    rest = np.column_stack([x, y, np.full(len(r), z_mm)])
+    return rest, np.column_stack([grown * x, grown * y, z_mm + up])
+
+
+def skins(each: Print) -> dict[str, Array]:
+    """Estimates of the skin. The cameras look along z, so that the part lies behind the gel."""
+    rest = gelstereo.RestSurface(each.rest_mm)
+    nothing = np.zeros((len(each.rest_mm), 3, 3))
+    skin, _ = gelstereo.skin_over(rest, each.points_mm, nothing, cols=SIDE, depth_mm=each.depth_mm)
+    toward = (skin - each.points_mm) / np.linalg.norm(skin - each.points_mm, axis=1)[:, None]
+    return {
+        "skin": skin,
+        "constant thickness": each.points_mm + each.depth_mm * toward,
+        "markers": each.points_mm,
+    }
+
+
+def main() -> None:
+    """Print a table: depth of the print, ring, and errors in um."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--half", choices=("w", "j"))
+    arguments = parser.parse_args()
+    errors: dict[tuple[float, str, str], list[Array]] = defaultdict(list)
+    for each in prints(arguments.half):
+        for name, points_mm in skins(each).items():
+            off_um = 1e3 * each.error_mm(points_mm)
+            for ring, (low, high) in RINGS.items():
+                inside = (low * each.touching_mm <= each.away_mm) & (each.away_mm < high * each.touching_mm)
+                errors[each.depth_mm, ring, name].append(off_um[inside])
+    print(
+        "| depth, mm | ring | markers | skin, mean / rms, um | constant thickness | the markers themselves |"
+    )
+    print("|---|---|---|---|---|---|")
+    for depth_mm in DEPTHS_MM[1:]:
+        for ring in RINGS:
+            found = {
+                name: np.concatenate(errors[depth_mm, ring, name])
+                for name in ("skin", "constant thickness", "markers")
+            }
+            cells = [f"{off.mean():.1f} / {np.sqrt(np.mean(off**2)):.1f}" for off in found.values()]
+            print(f"| {depth_mm} | {ring} | {len(found['skin'])} | {' | '.join(cells)} |")
+
+
+if __name__ == "__main__":
+    main()

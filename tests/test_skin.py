@@ -1,0 +1,111 @@
+"""`lattice.depth_mm` and `skin_over`: the skin over a print below it, on gels solved by finite elements."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+from test_rectangular import COLS, ROWS, rest_mm
+
+import gelstereo as gs
+from outside import judge_skin
+
+#: Errors of the law on the development half, um: docs/outside.md.
+BOUNDS_UM = {0.2: 6.0, 0.4: 10.0, 0.8: 25.0}
+
+
+def inner(each: judge_skin.Print) -> np.ndarray:
+    return each.away_mm < 0.7 * each.touching_mm
+
+
+@pytest.mark.parametrize("depth_mm", [0.2, 0.4, 0.8])
+def test_the_skin_of_solved_gels_lies_on_the_ball(depth_mm: float) -> None:
+    found: dict[str, list[np.ndarray]] = {}
+    for each in judge_skin.prints("w"):
+        if each.depth_mm == depth_mm:
+            for name, points_mm in judge_skin.skins(each).items():
+                found.setdefault(name, []).append(each.error_mm(points_mm)[inner(each)])
+    rms_um = {name: 1e3 * np.sqrt(np.mean(np.concatenate(off) ** 2)) for name, off in found.items()}
+    assert rms_um["skin"] < BOUNDS_UM[depth_mm]
+    assert rms_um["constant thickness"] > 3 * rms_um["skin"]
+    assert rms_um["markers"] > 500 * depth_mm
+
+
+def test_stated_variances_cover_the_laws_error() -> None:
+    squares = []
+    for each in judge_skin.prints("w"):
+        rest = gs.RestSurface(each.rest_mm)
+        noise = np.tile(1e-6 * np.eye(3), (len(each.rest_mm), 1, 1))
+        skin, covariance = gs.skin_over(
+            rest, each.points_mm, noise, cols=judge_skin.SIDE, depth_mm=each.depth_mm
+        )
+        toward = skin - each.ball_mm
+        toward /= np.linalg.norm(toward, axis=1)[:, None]
+        variance = np.einsum("ni,nij,nj->n", toward, covariance, toward)
+        squares.append((each.error_mm(skin) ** 2 / variance)[inner(each)])
+    assert 0.1 < np.mean(np.concatenate(squares)) < 1.0
+
+
+def press(depth_mm: float, lattice_depth_mm: float) -> tuple[gs.Frame, gs.Pipeline, np.ndarray, float]:
+    """The last frame of a ball on a gel whose print lies below the skin; the ball's middle and radius."""
+    each = [e for e in judge_skin.prints("w") if e.depth_mm == depth_mm and e.radius_mm == 4.5][8]
+    side = judge_skin.SIDE
+
+    def in_sensor(points_mm: np.ndarray) -> np.ndarray:
+        # Depth of the skin at rest is 28.7 mm in the sensor frame.
+        return points_mm + [4.0, 0.0, 28.7 - (each.rest_mm[0, 2] + depth_mm)]
+
+    gel = {"rows": side, "cols": side, "pitch_mm": judge_skin.PITCH_MM, "dot_radius_mm": 0.2}
+    simulator = gs.Simulator(gs.Scene().replace({"gel": gel, "effects.defocus": {}}))
+    settings = {"lattice.pitch_mm": judge_skin.PITCH_MM, "lattice.depth_mm": lattice_depth_mm}
+    pipeline = gs.Pipeline(gs.Scene().rig, gs.Params.preset("exact").replace(settings))
+    for share in np.linspace(0.0, 1.0, 9):
+        points_mm = each.rest_mm + share * (each.points_mm - each.rest_mm)
+        drawn = simulator.render_points(in_sensor(points_mm))
+        frame = pipeline.process(drawn.left, drawn.right)
+    return frame, pipeline, in_sensor(each.ball_mm[None])[0], each.radius_mm
+
+
+@pytest.mark.parametrize("depth_mm", [0.2, 0.4])
+def test_a_ball_is_located_at_the_skin(depth_mm: float) -> None:
+    def off_mm(lattice_depth_mm: float) -> float:
+        frame, pipeline, ball_mm, radius_mm = press(depth_mm, lattice_depth_mm)
+        ball = gs.Template.from_mesh(trimesh.creation.icosphere(5, radius_mm), units="mm")
+        guess = np.eye(4)
+        guess[:3, 3] = ball_mm + [0.2, -0.1, 0.1]
+        found = gs.localize(frame, ball, guess=guess, params=pipeline.params)
+        return float(found.t_sensor_object[2, 3] - ball_mm[2])
+
+    # The part seems nearer to the cameras by the depth of the print.
+    assert off_mm(0.0) < -0.7 * depth_mm
+    assert abs(off_mm(depth_mm)) < 0.03
+
+
+def test_a_frames_points_are_those_of_the_skin() -> None:
+    frame, pipeline, _, _ = press(0.4, 0.4)
+    markers, bare, _, _ = press(0.4, 0.0)
+    assert pipeline.rest is not None and bare.rest is not None
+    down = -np.asarray(bare.rest.normal)
+    np.testing.assert_allclose(pipeline.rest.points_mm, bare.rest.points_mm + 0.4 * down, atol=1e-12)
+    skin, covariance = gs.skin_over(
+        bare.rest, markers.points_mm, markers.covariance_mm2, cols=judge_skin.SIDE, depth_mm=0.4
+    )
+    np.testing.assert_array_equal(frame.points_mm, skin)
+    np.testing.assert_array_equal(frame.covariance_mm2, covariance)
+    np.testing.assert_allclose(frame.indentation_mm, pipeline.rest.indentation_mm(skin), atol=1e-12)
+    # Contact is found from the markers.
+    np.testing.assert_array_equal(frame.salient, markers.salient)
+
+
+def test_lists_that_do_not_fit_are_refused() -> None:
+    points_mm = rest_mm((1.0, 1.0))
+    rest = gs.RestSurface(points_mm)
+    noise = np.zeros((ROWS * COLS, 3, 3))
+    with pytest.raises(gs.ContactError, match="194 markers"):
+        gs.skin_over(rest, points_mm[1:], noise[1:], cols=COLS, depth_mm=0.4)
+    with pytest.raises(ValueError, match="194 matrices for 195 points"):
+        gs.skin_over(rest, points_mm, noise[1:], cols=COLS, depth_mm=0.4)
+    with pytest.raises(ValueError, match="depth_mm is -1"):
+        gs.skin_over(rest, points_mm, noise, cols=COLS, depth_mm=-1.0)
+    with pytest.raises(gs.ParamsError, match=r"lattice\.depth_mm is 101; valid is 0 to 100 mm"):
+        gs.Params().replace({"lattice.depth_mm": 101.0})
