@@ -30,8 +30,15 @@ def sensor() -> gs.Simulator:
     )
 
 
+@pytest.fixture(scope="module")
+def ball() -> gs.Template:
+    return gs.Template.from_mesh(trimesh.creation.icosphere(5, RADIUS_MM), units="mm", spacing_mm=0.5)
+
+
 @pytest.mark.parametrize("pitch_mm", PITCHES)
-def test_a_ball_on_a_rectangular_print_is_sensed_and_located(pitch_mm: tuple[float, float]) -> None:
+def test_a_ball_on_a_rectangular_print_is_sensed_and_located(
+    pitch_mm: tuple[float, float], ball: gs.Template
+) -> None:
     simulator, rest = sensor(), rest_mm(pitch_mm)
     params = gs.Params.preset("balanced").replace({"lattice.pitch_mm": list(pitch_mm)})
     pipeline = gs.Pipeline(gs.Scene().rig, params)
@@ -53,7 +60,6 @@ def test_a_ball_on_a_rectangular_print_is_sensed_and_located(pitch_mm: tuple[flo
     # The drawn surface leaves the ball where its height is half of the deepest.
     touch_mm = np.sqrt(RADIUS_MM**2 - (RADIUS_MM - 0.5 * PRESS_MM) ** 2)
     assert frame.salient[away_mm < touch_mm].all() and not frame.salient[away_mm > touch_mm + 0.25].any()
-    ball = gs.Template.from_mesh(trimesh.creation.icosphere(5, RADIUS_MM), units="mm")
     guess = np.eye(4)
     guess[:3, 3] = BALL_MM + [0.5, -0.4, 0.3]
     pose = gs.localize(frame, ball, guess=guess, params=params)

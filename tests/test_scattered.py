@@ -107,7 +107,7 @@ def test_a_ball_is_localized_on_random_dots(rig: gs.Rig) -> None:
     params = gs.Params().replace(contact={"saliency": "pressure", "decay_mm": 1.5})
     found = run(rig, [pressed(rest, k / 6) for k in range(7)], params)
     frame = found[-1]
-    ball = gs.Template.from_mesh(trimesh.creation.icosphere(5, RADIUS_MM), units="mm")
+    ball = gs.Template.from_mesh(trimesh.creation.icosphere(5, RADIUS_MM), units="mm", spacing_mm=0.5)
     guess = np.eye(4)
     guess[:3, 3] = BALL_MM + [0.5, -0.4, 0.3]
     pose = gs.localize(

@@ -10,6 +10,7 @@ from test_rectangular import COLS, ROWS, rest_mm
 import gelstereo as gs
 from outside import judge_skin
 
+RADIUS_MM = 4.5
 #: Errors of the law on the development half, um: docs/outside.md.
 BOUNDS_UM = {0.2: 6.0, 0.4: 10.0, 0.8: 25.0}
 
@@ -48,7 +49,7 @@ def test_stated_variances_cover_the_laws_error() -> None:
 
 def press(depth_mm: float, lattice_depth_mm: float) -> tuple[gs.Frame, gs.Pipeline, np.ndarray, float]:
     """The last frame of a ball on a gel whose print lies below the skin; the ball's middle and radius."""
-    each = [e for e in judge_skin.prints("w") if e.depth_mm == depth_mm and e.radius_mm == 4.5][8]
+    each = [e for e in judge_skin.prints("w") if e.depth_mm == depth_mm and e.radius_mm == RADIUS_MM][8]
     side = judge_skin.SIDE
 
     def in_sensor(points_mm: np.ndarray) -> np.ndarray:
@@ -66,11 +67,15 @@ def press(depth_mm: float, lattice_depth_mm: float) -> tuple[gs.Frame, gs.Pipeli
     return frame, pipeline, in_sensor(each.ball_mm[None])[0], each.radius_mm
 
 
+@pytest.fixture(scope="module")
+def ball() -> gs.Template:
+    return gs.Template.from_mesh(trimesh.creation.icosphere(5, RADIUS_MM), units="mm", spacing_mm=0.5)
+
+
 @pytest.mark.parametrize("depth_mm", [0.2, 0.4])
-def test_a_ball_is_located_at_the_skin(depth_mm: float) -> None:
+def test_a_ball_is_located_at_the_skin(depth_mm: float, ball: gs.Template) -> None:
     def off_mm(lattice_depth_mm: float) -> float:
-        frame, pipeline, ball_mm, radius_mm = press(depth_mm, lattice_depth_mm)
-        ball = gs.Template.from_mesh(trimesh.creation.icosphere(5, radius_mm), units="mm")
+        frame, pipeline, ball_mm, _ = press(depth_mm, lattice_depth_mm)
         guess = np.eye(4)
         guess[:3, 3] = ball_mm + [0.2, -0.1, 0.1]
         found = gs.localize(frame, ball, guess=guess, params=pipeline.params)
