@@ -208,7 +208,7 @@ def figures(frames: Sequence[Press], pitch_mm: float) -> dict[str, list[str]]:
 def rows(recording: CloudRecording) -> tuple[list[list[str]], list[list[str]]]:
     """Compare every episode: rows of both tables."""
     fits, beside_them = [], []
-    for name, episode in _episodes(recording).items():
+    for name, episode in episodes_by_part(recording).items():
         frames = presses(recording, episode)
         fits.append([name, *fit(frames, recording.pitch_mm)])
         found = figures(frames, recording.pitch_mm)
@@ -216,7 +216,7 @@ def rows(recording: CloudRecording) -> tuple[list[list[str]], list[list[str]]]:
     return fits, beside_them
 
 
-def _episodes(recording: CloudRecording) -> dict[str, range]:
+def episodes_by_part(recording: CloudRecording) -> dict[str, range]:
     """Find the runs of frames with contact, by part."""
     touched = [bool(found) for found in touching(recording)]
     edges = np.flatnonzero(np.diff(np.concatenate(([0], np.asarray(touched, int), [0]))))
