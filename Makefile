@@ -68,7 +68,8 @@ test-long: prerequisites $(BIN)/python lint
 	GELSTEREO_KILLS=50 cargo test --quiet --workspace --test all -- faults::
 	GELSTEREO_LONG_FRAMES=12000 cargo test --quiet --workspace --test long_run
 	GELSTEREO_SOAK_FRAMES=2000 cargo test --quiet -p gelstereo-core --test all -- row_35_a_localizer
-	cargo test --quiet --workspace --test all -- --ignored --skip faults::
+	@# Many seeds and many configurations: worth a build of the host with optimisation.
+	cargo test --quiet --config 'profile.dev.package.gelstereo-host.opt-level=2' --workspace --test all -- --ignored --skip faults::
 	$(MAKE) long-builds
 	$(BIN)/pytest -m "long and realtime"
 	$(BIN)/pytest -n auto -m "long and not realtime"
