@@ -40,9 +40,9 @@ lint: prerequisites
 	RUSTDOCFLAGS="-D warnings" cargo doc --workspace --no-deps --quiet
 
 test-python: prerequisites $(BIN)/python
-	# Most of what is installed is never imported: compiling it would take half a minute.
+	@# Most of what is installed is never imported: compiling it would take half a minute.
 	$(BIN)/pip install --quiet --no-compile '.[test]' './bench[batch,physics]'
-	# It would bring a second OpenCV with it; only its recordings are read.
+	@# It would bring a second OpenCV with it; only its recordings are read.
 	$(BIN)/pip install --quiet --no-deps pytac3d==3.3.0.9
 	@.ci/second-opinion.sh
 	cargo build --quiet --workspace --bins --example world_server

@@ -77,6 +77,21 @@ def test_layers_of_one_sensor_alone_are_told() -> None:
     assert found.shift_mm > 2.0 and not found.is_interchangeable
 
 
+def test_a_plate_of_another_thickness_is_named() -> None:
+    def layered(thickness_mm: float) -> Sensor:
+        plates = [{"thickness_mm": thickness_mm, "index": 1.49}]
+        layers = {"normal": [0.0, 0.0, 1.0], "gap_mm": 15.0, "gel_index": 1.41, "plates": plates}
+        return replace(sensor(), rig=sensor().rig.with_layers(layers))
+
+    (found,) = compare_sensors(layered(3.0), layered(3.1)).differences
+    assert (found.name, found.unit, found.first, found.second) == (
+        "layers.plates.0.thickness_mm",
+        "mm",
+        3.0,
+        3.1,
+    )
+
+
 def test_other_image_sizes_are_refused() -> None:
     with pytest.raises(SensorFileError, match="640x480 and the second of 320x240"):
         compare_sensors(sensor(), sensor(size_px=(320, 240)))

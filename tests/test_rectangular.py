@@ -63,7 +63,8 @@ def test_a_ball_on_a_rectangular_print_is_sensed_and_located(
     guess = np.eye(4)
     guess[:3, 3] = BALL_MM + [0.5, -0.4, 0.3]
     pose = gs.localize(frame, ball, guess=guess, params=params)
-    assert pose.converged and np.linalg.norm(pose.t_sensor_object[:3, 3] - BALL_MM) < 0.1
+    # The drawn surface follows no gel's law, which the registration assumes beside the ball.
+    assert pose.converged and np.linalg.norm(pose.t_sensor_object[:3, 3] - BALL_MM) < 0.05
 
 
 def test_a_square_setting_of_a_rectangular_print_is_warned_of() -> None:

@@ -102,6 +102,29 @@ def test_a_frames_points_are_those_of_the_skin() -> None:
     np.testing.assert_array_equal(frame.salient, markers.salient)
 
 
+def test_a_resumed_pipeline_gives_the_same_skin() -> None:
+    each = next(
+        each for each in judge_skin.prints("w") if each.depth_mm == 0.4 and each.radius_mm == RADIUS_MM
+    )
+    shift = np.array([4.0, 0.0, 28.3 - each.rest_mm[0, 2]])
+    side = judge_skin.SIDE
+    gel = {"rows": side, "cols": side, "pitch_mm": judge_skin.PITCH_MM, "dot_radius_mm": 0.2}
+    simulator = gs.Simulator(gs.Scene().replace({"gel": gel}))
+    settings = {"lattice.pitch_mm": judge_skin.PITCH_MM, "lattice.depth_mm": 0.4, "detect.search": "whole"}
+    params = gs.Params.preset("balanced").replace(settings)
+    first, second = (gs.Pipeline(gs.Scene().rig, params) for _ in range(2))
+    rest, pressed = (simulator.render_points(points + shift) for points in (each.rest_mm, each.points_mm))
+    first.process(rest.left, rest.right)
+    record = first.rest_record()
+    assert record is not None
+    second.resume(record)
+    found = [pipeline.process(pressed.left, pressed.right) for pipeline in (first, second)]
+    assert first.rest is not None and second.rest is not None
+    np.testing.assert_array_equal(first.rest.points_mm, second.rest.points_mm)
+    # A resumed pipeline is good to a micrometre; an area ratio of cells of 1.7 mm adds less than another.
+    np.testing.assert_allclose(found[0].indentation_mm, found[1].indentation_mm, atol=2e-3)
+
+
 def test_lists_that_do_not_fit_are_refused() -> None:
     points_mm = rest_mm((1.0, 1.0))
     rest = gs.RestSurface(points_mm)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +13,7 @@ import numpy.typing as npt
 from gelstereo._native import Rig, triangulate
 from gelstereo.geometry import rigid_fit
 from gelstereo.setup.sensor import Sensor, SensorFileError
+from gelstereo.setup.tree import leaves
 
 __all__ = ["Comparison", "Difference", "compare_sensors"]
 
@@ -129,14 +130,16 @@ def compare_sensors(first: Sensor, second: Sensor) -> Comparison:
         )
         if not math.isclose(before, after, rel_tol=1e-9, abs_tol=1e-12)
     ]
-    layers = _flat(first.rig.layers), _flat(second.rig.layers)
+    layers = (
+        leaves(first.rig.layers or {}, open_lists=True),
+        leaves(second.rig.layers or {}, open_lists=True),
+    )
     differences += _differing(*layers, "layers.")
     for name, unit in GEL.items():
         before, after = first.gel.get(name), second.gel.get(name)
         if before != after:
             differences.append(Difference(name, unit, before, after, _sigmas(first.gel, second.gel, name)))
-    settings = _flat(first.params.to_dict()), _flat(second.params.to_dict())
-    differences += _differing(*settings, "params.")
+    differences += _differing(leaves(first.params.to_dict()), leaves(second.params.to_dict()), "params.")
     error_mm, points_mm = _wrong_points(first.rig, second)
     motion = rigid_fit(points_mm, points_mm + error_mm)
     left_mm = points_mm + error_mm - (points_mm @ motion[:3, :3].T + motion[:3, 3])
@@ -183,21 +186,6 @@ def _differing(first: Mapping[str, Any], second: Mapping[str, Any], prefix: str)
         for name in names
         if first.get(name) != second.get(name)
     ]
-
-
-def _flat(tree: Any, prefix: str = "") -> dict[str, Any]:
-    """A tree's leaves by dotted names."""
-    if isinstance(tree, Mapping):
-        pairs: Iterable[tuple[str, Any]] = tree.items()
-    elif isinstance(tree, (list, tuple, np.ndarray)):
-        pairs = ((str(number), value) for number, value in enumerate(tree))
-    else:
-        return {} if tree is None and not prefix else {prefix: tree}
-    return {
-        name: leaf
-        for key, value in pairs
-        for name, leaf in _flat(value, f"{prefix}.{key}" if prefix else key).items()
-    }
 
 
 def _sigmas(first: Mapping[str, Any], second: Mapping[str, Any], name: str) -> float | None:

@@ -12,6 +12,7 @@ from gelstereo.calibrate.board_names import BoardKind
 from gelstereo.calibrate.boards import Board
 from gelstereo.calibrate.errors import CalibrationError
 from gelstereo.calibrate.pairs import expand
+from gelstereo.setup.tree import leaves
 
 __all__ = ["EXAMPLE", "Plan", "PlanError", "Views"]
 
@@ -186,16 +187,7 @@ def _settings(preset: str, params: Mapping[str, Any]) -> dict[str, Any]:
         Params.preset(preset).replace(params)
     except ParamsError as error:
         raise PlanError(f"[params]: {error}") from error
-    flat: dict[str, Any] = {}
-    open_tables = [("", params)]
-    while open_tables:
-        prefix, table = open_tables.pop()
-        for name, value in table.items():
-            if isinstance(value, Mapping):
-                open_tables.append((f"{prefix}{name}.", value))
-            else:
-                flat[prefix + name] = value
-    return flat
+    return leaves(params)
 
 
 def _pitch(rest: Mapping[str, Any]) -> tuple[float, float]:

@@ -56,16 +56,16 @@ impl Detector {
     }
 
     /// Restricts the search to a region of interest. Positions stay in coordinates of the whole image.
-    /// Markers cut by the border of its rectangle are listed in [`Markers::cut`]. Outside of its outline
-    /// nothing is a marker.
+    /// Markers cut by the border of its rectangle are listed in [`Markers::cut`]. Components
+    /// outside its outline are no markers.
     #[must_use]
     pub fn within(self, Region { rect_px, outline_px }: Region<'_>) -> Self {
         let [x, y, ..] = rect_px.unwrap_or_default();
         let outline = Outline::new(outline_px, DVec2::new(x as f64, y as f64));
         let mut windows = self.windows;
         windows.outline = Outline::new(outline_px, DVec2::ZERO);
-        // The outline is not known to the search at half size.
-        let half = self.half.filter(|_| outline.is_everywhere());
+        // The search at half size does not check the outline.
+        let half = self.half.filter(|_| outline.is_empty());
         Self { roi_px: rect_px, outline, windows, half, ..self }
     }
 

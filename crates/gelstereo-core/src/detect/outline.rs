@@ -3,23 +3,25 @@
 use crate::math::DVec2;
 use alloc::vec::Vec;
 
-/// A polygon outside of which nothing is a marker. Without corners it is everywhere.
+/// Polygon around the gel. Only positions inside it can be markers. With no corners it accepts every
+/// position.
 #[derive(Clone, Debug, Default)]
 pub(in crate::detect) struct Outline {
     corners_px: Vec<DVec2>,
 }
 
-/// The outline without corners.
-pub(in crate::detect) static EVERYWHERE: Outline = Outline { corners_px: Vec::new() };
+/// The outline with no corners.
+pub(in crate::detect) static NO_OUTLINE: Outline = Outline { corners_px: Vec::new() };
 
 impl Outline {
-    /// Of corners in coordinates of the whole image, for an image that begins at `origin_px`.
+    /// `corners_px` are in coordinates of the whole image. Positions are later given in a part of the image
+    /// whose first pixel is `origin_px`.
     pub fn new(corners_px: &[[f64; 2]], origin_px: DVec2) -> Self {
         Self { corners_px: corners_px.iter().map(|&corner| DVec2::from_array(corner) - origin_px).collect() }
     }
 
-    /// Whether it is everywhere.
-    pub fn is_everywhere(&self) -> bool {
+    /// Whether it has no corners.
+    pub fn is_empty(&self) -> bool {
         self.corners_px.is_empty()
     }
 
@@ -47,14 +49,14 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn without_corners_it_is_everywhere() {
+    fn without_corners_every_position_is_inside() {
         assert!(Outline::default().contains(DVec2::new(-3.0, 1e9)));
     }
 
     proptest! {
-        /// The angles under which the edges are seen add up to a whole turn from inside only.
+        /// Seen from a point inside, the angles of the edges add up to a whole turn; from outside, to zero.
         #[test]
-        fn it_is_inside_where_the_edges_turn_once_around(
+        fn a_point_is_inside_if_the_edges_turn_once_around_it(
             radii in proptest::collection::vec(0.5..3.0_f64, 3..12),
             at in prop::array::uniform2(-3.0..3.0_f64),
             origin in prop::array::uniform2(-50.0..50.0_f64),

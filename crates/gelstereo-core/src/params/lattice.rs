@@ -32,7 +32,7 @@ pub struct LatticeParams {
     pub dot_radius_mm: Option<f64>,
     /// Depth of the print below the gel's skin, on the side of the part. The points of a frame are those of
     /// the skin over the markers, where the part is. Valid: 0 to 100 mm. Default: `0` mm, the print is the
-    /// skin. Set it to what the maker states: parts else seem
+    /// skin. Set it to what the maker states: without it, parts seem
     /// to lie this much nearer to the cameras.
     pub depth_mm: f64,
     /// Share of the printed markers that may be missing in the rest frame; they are filled in from their

@@ -20,9 +20,10 @@ pub struct RoiParams {
     /// The same of the right image. Default: absent. Set it as `left_px`.
     #[cfg_attr(feature = "serde", serde(skip_serializing_if = "Option::is_none"))]
     pub right_px: Option<[usize; 4]>,
-    /// Corners (x, y) of a polygon in the left image; what lies outside of it is no marker. It is searched
-    /// at full size, whatever `detect.find_at` says. Valid: 3 to 1000 corners within 100 000 px. Default:
-    /// absent. Set it for a gel that is not rectangular, before a background with spots.
+    /// Corners (x, y) of a polygon around the gel in the left image. Spots outside it are not markers. The
+    /// image is then searched at full size, and `detect.find_at` has no effect. Valid: 3 to 1000 corners
+    /// within 100 000 px. Default: absent. Set it for a gel that is not rectangular, with spots in the
+    /// background.
     #[cfg_attr(feature = "serde", serde(skip_serializing_if = "Vec::is_empty"))]
     pub left_outline_px: Vec<[f64; 2]>,
     /// The same of the right image. Default: absent. Set it as `left_outline_px`.
@@ -35,7 +36,7 @@ pub struct RoiParams {
 pub struct Region<'a> {
     /// First column and row, width and height, pixels; `None` for the whole image.
     pub rect_px: Option<[usize; 4]>,
-    /// Corners of a polygon in coordinates of the whole image, pixels; empty for everywhere.
+    /// Corners of a polygon in coordinates of the whole image, pixels; empty for no limit.
     pub outline_px: &'a [[f64; 2]],
 }
 

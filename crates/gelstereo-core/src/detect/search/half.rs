@@ -13,7 +13,7 @@ use crate::detect::mask::blob_filter::BlobFilter;
 use crate::detect::mask::components::Blob;
 use crate::detect::mask::segmentation::Segmentation;
 use crate::detect::mask::usual_area::area_range_px2;
-use crate::detect::outline::EVERYWHERE;
+use crate::detect::outline::NO_OUTLINE;
 use crate::detect::window::size::MarkerSize;
 use crate::detect::window::sized::SizedClassifier;
 use crate::image::GrayView;
@@ -60,7 +60,7 @@ impl Halved {
         halve(image, &mut self.levels);
         let half = GrayView::new(&self.levels, size_px.0, size_px.1, size_px.0).ok()?;
         self.segmentation.run(half).ok()?;
-        Some(BlobFilter::of(self.segmentation.components.blobs(), params, size_px, &EVERYWHERE, areas_px2).0)
+        Some(BlobFilter::of(self.segmentation.components.blobs(), params, size_px, &NO_OUTLINE, areas_px2).0)
     }
 
     /// Whether all selected components are specks, or markers that lie entirely in the image.
