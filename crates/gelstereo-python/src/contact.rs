@@ -191,7 +191,7 @@ pub fn adaptive_saliency(
 /// Find the gel's skin over a print that lies below it (`lattice.depth_mm`).
 ///
 /// The layer between print and skin keeps its volume: the skin lies ``depth_mm`` / area ratio from a marker,
-/// along the normal of the print's surface. Measured on gels solved by finite elements; see docs/outside.md.
+/// along the normal of the print's surface. docs/outside.md has its errors on gels solved by finite elements.
 ///
 /// Parameters
 /// ----------
