@@ -139,7 +139,7 @@ class Vm:
         """Unplugs something after so many of these events of a task, which must end with nothing moving."""
         with task(self, seed) as cell, ThreadPoolExecutor(1) as pool:
             running = pool.submit(self.run_task, cell)
-            cell.wait_for(event, count)
+            cell.wait_for(event, count, running.done)
             unplug()
             unplugged_ns = time.monotonic_ns()
             outcome = running.result()
