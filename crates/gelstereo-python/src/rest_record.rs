@@ -42,7 +42,8 @@ impl RestRecord {
         self.inner.cols
     }
 
-    /// The rest surface of the markers. With ``lattice.depth_mm``, `Pipeline.rest` is that of the skin over them.
+    /// The rest surface of the markers. With ``lattice.depth_mm``, `Pipeline.rest` is that of the skin over
+    /// them.
     #[getter]
     fn rest(&self) -> PyResult<RestSurface> {
         Ok(RestSurface::from_core(Surface::new(&self.inner.points_mm).map_err(raise)?))
