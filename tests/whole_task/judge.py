@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -39,24 +39,48 @@ def frames(recording: Path, sent: Mapping[int, int] | None = None) -> list[Frame
     Without `sent` the camera's numbers are the world's. Else `sent` has the number by the CRC-32 of the JPEG
     file.
     """
+    numbers = world_frames(recording, sent)
+    stage, found = "", []
+    for topic, time_ns, data in messages(recording):
+        if topic in ("/gelstereo/stage", "/gelstereo/frame"):
+            said = note(data)
+            if topic == "/gelstereo/stage":
+                stage = said.get("stage", stage)
+            elif "motion_px" in said:
+                found.append({"stage": stage, "time_ns": time_ns, **said})
+    return [{**frame, "world_frame": numbers[frame["time_ns"]]} for frame in found]
+
+
+def world_frames(recording: Path, sent: Mapping[int, int] | None = None) -> dict[int, int]:
+    """The world's number of each recorded image pair, by its time in ns."""
+    numbers = {}
+    for topic, time_ns, data in messages(recording):
+        if topic == "/gelstereo/stereo/image/compressed" and sent is not None:
+            numbers[time_ns] = sent[zlib.crc32(data[data.index(b"\xff\xd8\xff") :])]
+        elif topic == "/gelstereo/capture" and sent is None and "sequence" in (said := note(data)):
+            numbers[time_ns] = said["sequence"]
+    return numbers
+
+
+def lost_frames(recording: Path, sent: Mapping[int, int] | None = None) -> int:
+    """How many of the world's frames a recording skips between its first and its last."""
+    numbers = sorted(set(world_frames(recording, sent).values()))
+    return numbers[-1] - numbers[0] + 1 - len(numbers) if numbers else 0
+
+
+def messages(recording: Path) -> Iterator[tuple[str, int, bytes]]:
+    """Topic, time in ns and data of each message, in the order of the file."""
     from mcap.reader import make_reader
 
-    stage, numbers, found = "", {}, []
     with recording.open("rb") as file:
         for _, channel, message in make_reader(file).iter_messages(log_time_order=False):
-            time_ns, data = message.publish_time, message.data
-            if channel.topic == "/gelstereo/stereo/image/compressed" and sent is not None:
-                numbers[time_ns] = sent[zlib.crc32(data[data.index(b"\xff\xd8\xff") :])]
-            elif channel.topic in ("/gelstereo/stage", "/gelstereo/frame", "/gelstereo/capture"):
-                # A string in CDR: four bytes of encapsulation, its length, its bytes and a zero.
-                note = json.loads(data[8:].rstrip(b"\0"))
-                if channel.topic == "/gelstereo/stage":
-                    stage = note.get("stage", stage)
-                elif channel.topic == "/gelstereo/capture" and sent is None and "sequence" in note:
-                    numbers[time_ns] = note["sequence"]
-                elif "motion_px" in note:
-                    found.append({"stage": stage, "time_ns": time_ns, **note})
-    return [{**frame, "world_frame": numbers[frame["time_ns"]]} for frame in found]
+            yield channel.topic, message.publish_time, message.data
+
+
+def note(data: bytes) -> dict[str, Any]:
+    """A string in CDR: four bytes of encapsulation, its length, its bytes and a zero."""
+    found: dict[str, Any] = json.loads(data[8:].rstrip(b"\0"))
+    return found
 
 
 @dataclass(frozen=True)
