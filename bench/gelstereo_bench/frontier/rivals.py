@@ -137,7 +137,8 @@ def _filterreg(placed_mm: Array, points_mm: Array, normals: Array) -> Array:
         maxiter=50,
     ).transformation
     motion = np.eye(4)
-    motion[:3, :3], motion[:3, 3] = found.rot, found.t
+    # Its steps are multiplied up, and leave the rotations by more than a millionth.
+    motion[:3, :3], motion[:3, 3] = _nearest_rotation(found.rot), found.t
     return motion
 
 
@@ -194,11 +195,15 @@ def meshlib_icp(grasp: Grasp, guess: Array) -> Array:
     pose = np.eye(4)
     for row, vector in enumerate((found.A.x, found.A.y, found.A.z)):
         pose[row, :3] = vector.x, vector.y, vector.z
-    # The library uses single precision, so the nearest rotation is taken.
-    u, _, v = np.linalg.svd(pose[:3, :3])
-    pose[:3, :3] = u @ v
+    # The library uses single precision.
+    pose[:3, :3] = _nearest_rotation(pose[:3, :3])
     pose[:3, 3] = found.b.x, found.b.y, found.b.z
     return np.asarray(np.linalg.inv(pose), np.float64)
+
+
+def _nearest_rotation(matrix: Array) -> Array:
+    u, _, v = np.linalg.svd(matrix)
+    return np.asarray(u @ v, np.float64)
 
 
 #: Cache of the libraries' preprocessed templates, by library and part.
