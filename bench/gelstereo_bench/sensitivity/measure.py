@@ -13,7 +13,7 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 
 from gelstereo_bench.sensitivity import results
-from gelstereo_bench.sensitivity.cases import STAGES
+from gelstereo_bench.sensitivity.cases import cases_of
 from gelstereo_bench.sensitivity.figures import Case, Evaluation, change
 from gelstereo_bench.sensitivity.native import Constants
 from gelstereo_bench.sensitivity.results import Entry, Result
@@ -153,13 +153,13 @@ def measure(
             entries[key] = Entry(values[key], left[key])
     todo = [key for key in todo if key not in left and key.startswith(options.only)]
     constants = Constants()
-    files = dict.fromkeys(file for key in todo for file in STAGES[key.split("/")[0]])
+    files = dict.fromkeys(file for key in todo for file in cases_of(key))
     loaded = {file: _load(file, constants, len(numbers)) for file in files}
     waiting, done, began = iter(todo), 0, time.monotonic()
     running: list[_Running] = []
     while True:
         for key in itertools.islice(waiting, options.jobs - len(running)):
-            cases = {name: case for file in STAGES[key.split("/")[0]] for name, case in loaded[file].items()}
+            cases = {name: case for file in cases_of(key) for name, case in loaded[file].items()}
             running.append(_begun(key, values[key], constants, numbers[key], cases, options.outer))
         if not running:
             break
