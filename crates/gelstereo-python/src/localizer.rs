@@ -140,6 +140,7 @@ impl Localizer {
             model,
             tracking: Some(located.tracking),
             misfit: located.misfit.map(|misfit| misfit.mean),
+            budget: None,
         })
     }
 }

@@ -5,14 +5,18 @@ use crate::given::{Given, Model};
 use crate::notebook;
 use crate::params::Params;
 use crate::pickle;
+use crate::pipeline::check_deadline;
 use crate::template::Template;
 use gelstereo_core::math::{DVec3, sqrt};
-use gelstereo_core::params::RegisterParams;
+use gelstereo_core::params::{RegisterMethod, RegisterParams};
+use gelstereo_core::pipeline::Pace;
 use gelstereo_core::register as core;
 use gelstereo_core::stop::Stop;
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::{PyTuple, PyType};
 use std::cell::RefCell;
+use std::time::Instant;
 
 /// A free direction: a motion that the contact does not determine, in the object's frame. ``str()``
 /// describes it in words.
@@ -64,6 +68,7 @@ pub struct Localization {
     pub model: Model,
     pub tracking: Option<core::TrackingStatus>,
     pub misfit: Option<f64>,
+    pub budget: Option<u32>,
 }
 
 #[pymethods]
@@ -252,6 +257,20 @@ impl Localization {
         self.found.alternatives.is_cut()
     }
 
+    /// Work of the registration, in the units of ``register.surface_search.budget``; 0 for methods without a
+    /// budget.
+    #[getter]
+    const fn work(&self) -> u64 {
+        self.found.work
+    }
+
+    /// Budget of the registration: ``register.surface_search.budget``, or less with a deadline. `None` for a
+    /// pose of `Localizer`.
+    #[getter]
+    const fn budget(&self) -> Option<u32> {
+        self.budget
+    }
+
     /// Digest of all results, bit for bit.
     #[getter]
     fn digest(&self) -> u64 {
@@ -260,13 +279,13 @@ impl Localization {
 
     #[classmethod]
     fn _from_bytes(_cls: &Bound<'_, PyType>, data: &[u8]) -> PyResult<Self> {
-        let (found, model, tracking, misfit) = pickle::from_bytes(data, "Localization")?;
-        Ok(Self { found, model, tracking, misfit })
+        let (found, model, tracking, misfit, budget) = pickle::from_bytes(data, "Localization")?;
+        Ok(Self { found, model, tracking, misfit, budget })
     }
 
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<pickle::Reduced<'py>> {
-        let Self { found, model, tracking, misfit } = slf.get();
-        pickle::reduce(slf, "_from_bytes", &pickle::to_bytes(&(found, model, tracking, misfit))?)
+        let Self { found, model, tracking, misfit, budget } = slf.get();
+        pickle::reduce(slf, "_from_bytes", &pickle::to_bytes(&(found, model, tracking, misfit, budget))?)
     }
 
     /// HTML for notebooks.
@@ -318,6 +337,11 @@ impl Localization {
 /// press_direction : (3,) array_like, optional
 ///     Direction from the part into the gel, sensor frame, of any length. Default: towards the camera, (0, 0,
 ///     -1). Only faces towards this direction can be in contact. Used by the methods on the part's surface.
+/// deadline_ms : float, optional
+///     Time for this call, with a method on the part's surface: ``register.surface_search.budget`` is lowered
+///     to the work that fits, and the best pose found by then is returned. The time that a unit of work takes
+///     is learned from the calls with deadlines of this thread, so the first one is not limited. For the same
+///     bits again, set the budget to ``Localization.budget``. Default: none.
 ///
 /// Returns
 /// -------
@@ -328,9 +352,12 @@ impl Localization {
 /// RegisterError
 ///     If the contact cannot be registered, for example with too few points, if it is not among all
 ///     markers, or if it lies across the press direction.
+/// ValueError
+///     If the deadline is not a positive time, or the method has no budget.
 #[pyfunction]
 #[pyo3(signature = (
-    contact, template, *, guess, all_points_mm=None, covariance_mm2=None, params=None, press_direction=None
+    contact, template, *, guess, all_points_mm=None, covariance_mm2=None, params=None, press_direction=None,
+    deadline_ms=None
 ))]
 #[expect(clippy::too_many_arguments, reason = "keyword arguments of Python")]
 pub fn localize(
@@ -342,10 +369,16 @@ pub fn localize(
     covariance_mm2: Option<&Bound<'_, PyAny>>,
     params: Option<&Bound<'_, Params>>,
     press_direction: Option<&Bound<'_, PyAny>>,
+    deadline_ms: Option<f64>,
 ) -> PyResult<Localization> {
+    let begun = Instant::now();
     let guess = arrays::pose(guess, "guess")?;
     let template = template.get().inner();
-    let params = Params::or_default(params);
+    let mut params = Params::or_default(params);
+    if let Some(deadline_ms) = deadline_ms {
+        check_deadline(deadline_ms)?;
+        limit_budget(&mut params.register, deadline_ms)?;
+    }
     let register = |contact: &core::Contact<'_>, stop: Stop<'_>| {
         REGISTRAR.with_borrow_mut(|stage| {
             stage.set_params(&params.register);
@@ -355,10 +388,30 @@ pub fn localize(
     let given = Given { contact, all_points_mm, covariance_mm2 };
     let gel = Gel::new(&params, press_direction)?;
     let (found, model) = given.register(py, params.register.method, gel, register)?;
-    Ok(Localization { found, model, tracking: None, misfit: None })
+    if deadline_ms.is_some() {
+        PACE.with_borrow_mut(|pace| pace.observe(found.work, begun.elapsed().as_nanos() as u64));
+    }
+    let budget = Some(params.register.surface_search.budget);
+    Ok(Localization { found, model, tracking: None, misfit: None, budget })
+}
+
+/// Lowers the budget to the work that fits; not before this thread's pace is known.
+fn limit_budget(register: &mut RegisterParams, deadline_ms: f64) -> PyResult<()> {
+    if !matches!(register.method, RegisterMethod::SurfaceClose | RegisterMethod::SurfaceSearch) {
+        let why = "deadline_ms needs register.method = \"surface_close\" or \"surface_search\"";
+        return Err(PyValueError::new_err(why));
+    }
+    if let Some(limit) = PACE.with_borrow(|pace| pace.limit((1e6 * deadline_ms) as u64)) {
+        let budget = &mut register.surface_search.budget;
+        *budget = u32::try_from(limit).unwrap_or(u32::MAX).clamp(1, *budget);
+    }
+    Ok(())
 }
 
 thread_local! {
+    /// This thread's time for a unit of registration's work.
+    static PACE: RefCell<Pace> = RefCell::new(Pace::default());
+
     /// This thread's registrar, kept for its memory: allocating it again takes a tenth of the work.
     static REGISTRAR: RefCell<core::Registrar> =
         RefCell::new(core::Registrar::new(&RegisterParams::default()));

@@ -41,3 +41,4 @@ mod smears;
 mod soak;
 mod truth;
 mod windows;
+mod work_limits;

@@ -69,7 +69,7 @@ fn run(scene: &Scene, params: &Params, threads: bool) -> (Vec<u64>, Frame, Truth
         sensor.look(press_mm);
         let (left, right) = sensor.views();
         let result = if threads {
-            pipeline.process_with(left, right, &mut frame, |a, b| {
+            pipeline.process_with(left, right, None, &mut frame, |a, b| {
                 std::thread::scope(|scope| {
                     scope.spawn(a);
                     b();

@@ -90,3 +90,38 @@ fn row_35_sensing_allocates_nothing_after_the_first_frames() {
         }
     }
 }
+
+/// Whichever rungs the limits leave, also those of the first limited frame.
+#[test]
+fn limits_of_work_allocate_nothing_after_the_first_frames() {
+    let (pairs, rig) = (pairs(), Scene::default_rig());
+    for preset in ["balanced", "exact"] {
+        let held_before = HELD.get();
+        PEAK.set(held_before);
+        let mut pipeline = Pipeline::new(&rig, &Params::preset(preset).unwrap()).unwrap();
+        let mut frame = Frame::default();
+        let mut within = |pair: &Pair, limit: u64| {
+            let [left, right] = pair;
+            pipeline.process_within(view(left), view(right), Some(limit), &mut frame).unwrap();
+            (frame.left.searched, frame.left.is_degraded, frame.left.labels == LabelSource::Held)
+        };
+        within(&pairs[0], u64::MAX);
+        within(&pairs[1], u64::MAX);
+        let before = ALLOCATIONS.get();
+        let mut seen = std::collections::BTreeMap::new();
+        let made = ALLOCATIONS.get();
+        let limits = [0, u64::MAX, 12_000, 40_000];
+        let mut ways = [(Searched::Whole, false, false); 120];
+        for (n, way) in ways.iter_mut().enumerate() {
+            *way = within(&pairs[[2, 3, 4, 5, 4, 3][n % 6]], limits[n % 4]);
+        }
+        assert_eq!(ALLOCATIONS.get() - made, 0, "{preset}");
+        assert!(before > 0, "the counter counts");
+        for (searched, degraded, held) in ways {
+            *seen.entry((searched as u8, degraded, held)).or_insert(0) += 1;
+        }
+        let bytes = (PEAK.get() - held_before) as usize;
+        println!("{preset}: {bytes} bytes, {seen:?}");
+        assert!(bytes < 16_000_000 && seen.len() >= 4, "{preset}: {bytes} bytes, {seen:?}");
+    }
+}

@@ -3,6 +3,7 @@
 use crate::digest::Digest;
 use crate::math::linalg::Symmetric;
 use crate::math::{DVec2, DVec3};
+use crate::params::Centre;
 use crate::register::Contact;
 use crate::track::MarkerState;
 use alloc::vec::Vec;
@@ -31,7 +32,8 @@ pub enum Searched {
     /// In the whole image.
     #[default]
     Whole,
-    /// In windows around the predicted positions.
+    /// In windows around the predicted positions. With labels [`LabelSource::Held`], these were not
+    /// sufficient, and the frame's limit left no time to search the whole image as well.
     Windows,
 }
 
@@ -48,6 +50,12 @@ pub struct ViewEvidence {
     /// Where markers were searched; `Whole` under `detect.search = windows` means that windows were not
     /// sufficient.
     pub searched: Searched,
+    /// Centring rung of the markers.
+    #[cfg_attr(feature = "serde", serde(default))]
+    pub centre: Centre,
+    /// Whether that is cheaper than the settings' own, because the frame had a limit.
+    #[cfg_attr(feature = "serde", serde(default))]
+    pub is_degraded: bool,
 }
 
 /// All results of one stereo frame. Marker `row * cols + col` has that index in every list.
@@ -87,6 +95,12 @@ pub struct Frame {
     /// to none on the gel's surface (labels of the views have slipped relative to each other, see
     /// [`StereoMismatch`](crate::contact::StereoMismatch)).
     pub mismatched: usize,
+    /// Predicted work, in units of 1000 instructions of a baseline x86-64 processor.
+    #[cfg_attr(feature = "serde", serde(default))]
+    pub work: u64,
+    /// The limit to which it was fitted.
+    #[cfg_attr(feature = "serde", serde(default))]
+    pub work_limit: Option<u64>,
     /// The left view's evidence.
     pub left: ViewEvidence,
     /// The right view's evidence.
@@ -94,11 +108,12 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// Digest of all results, bit for bit.
+    /// Digest of all results, bit for bit. Work and its limit are no results.
     #[must_use]
     pub fn digest(&self) -> u64 {
         let view = |digest: Digest, view: &ViewEvidence| {
-            let sources = view.labels as u64 | (view.searched as u64) << 32;
+            let searched = view.searched as u64 | u64::from(view.is_degraded) << 8;
+            let sources = view.labels as u64 | searched << 32;
             digest.u64(view.detected as u64).u64(sources).u64(view.relabelled as u64)
         };
         let digest = Digest::new()

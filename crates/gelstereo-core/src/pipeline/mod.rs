@@ -7,16 +7,19 @@ mod epipolar;
 mod error;
 mod frame;
 mod marker_tracker;
+mod pace;
 mod pitch;
 mod rest_record;
 mod resume;
 mod skin;
 mod view;
 mod windows;
+mod work;
 
 pub use error::{PipelineError, View};
 pub use frame::{Frame, LabelSource, Searched, Touch, ViewEvidence};
 pub use marker_tracker::{MarkerTracker, MarkerTrackerError};
+pub use pace::Pace;
 pub use pitch::PitchCheck;
 pub use rest_record::{RestRecord, RestRecordError, RestView};
 pub use skin::Skin;
@@ -180,13 +183,33 @@ impl Pipeline {
         right: GrayView<'_>,
         out: &mut Frame,
     ) -> Result<(), PipelineError> {
-        self.process_with(left, right, out, |left, right| {
+        self.process_within(left, right, None, out)
+    }
+
+    /// As [`Self::process`], by the best rungs of each stage whose predicted work fits into a limit, in
+    /// units of 1000 instructions; [`Pace`] converts time to such units. [`Frame::left`] and
+    /// [`Frame::right`] state the rungs.
+    ///
+    /// Give limits from the rest frame on, which itself is not limited: it prepares the cheaper rungs. A
+    /// frame in which only a whole search finds the labels exceeds a limit that no such search fits into. The
+    /// result depends on images, settings and limits alone.
+    ///
+    /// # Errors
+    /// [`PipelineError`] with stage and view.
+    pub fn process_within(
+        &mut self,
+        left: GrayView<'_>,
+        right: GrayView<'_>,
+        limit: Option<u64>,
+        out: &mut Frame,
+    ) -> Result<(), PipelineError> {
+        self.process_with(left, right, limit, out, |left, right| {
             left();
             right();
         })
     }
 
-    /// As [`Self::process`], with the detection of the two views passed to `join`, which may run them on
+    /// As [`Self::process_within`], with the detection of the two views passed to `join`, which may run them on
     /// two threads and must run both to completion. The result is bit-identical either way.
     ///
     /// # Errors
@@ -195,19 +218,25 @@ impl Pipeline {
         &mut self,
         left: GrayView<'_>,
         right: GrayView<'_>,
+        limit: Option<u64>,
         out: &mut Frame,
         join: impl FnOnce(&mut (dyn FnMut() + Send), &mut (dyn FnMut() + Send)),
     ) -> Result<(), PipelineError> {
         self.left.check_size(&left)?;
         self.right.check_size(&right)?;
+        let after = work::after_detection(&self.params, &self.left.size(&self.params));
+        let of_view = limit.map(|limit| limit.saturating_sub(after) / 2);
         let (left_stages, right_stages) = (&mut self.left, &mut self.right);
         let (params, follows) = (&self.params, self.rest.is_some());
-        join(&mut || left_stages.detect(left, params, follows), &mut || {
-            right_stages.detect(right, params, follows);
+        join(&mut || left_stages.detect(left, params, follows, of_view), &mut || {
+            right_stages.detect(right, params, follows, of_view);
         });
+        (out.work, out.work_limit) = (after + self.left.work + self.right.work, limit);
         // No persistent state has changed so far: a frame that fails here leaves the tracks unchanged.
         self.left.check_detected()?;
         self.right.check_detected()?;
+        let begins =
+            limit.is_some() && (self.left.begin_limits(&self.params) | self.right.begin_limits(&self.params));
         if self.rest.is_none() {
             self.start(out)?;
             self.left.prepare(left, &self.params);
@@ -216,7 +245,7 @@ impl Pipeline {
             self.left.follow(&self.params);
             self.right.follow(&self.params);
             self.follow_points(out)?;
-            if core::mem::take(&mut self.resumes) {
+            if core::mem::take(&mut self.resumes) || begins {
                 self.left.prepare(left, &self.params);
                 self.right.prepare(right, &self.params);
             }

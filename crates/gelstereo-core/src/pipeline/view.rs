@@ -4,12 +4,14 @@ use super::error::{PipelineError, View};
 use super::frame::{LabelSource, Searched, ViewEvidence};
 use super::rest_record::RestView;
 use super::windows::{LatticeScale, Windows};
+use super::work::{self, DetectRung, ViewSize};
 use crate::detect::{DetectError, Detector, Markers, max_markers};
 use crate::image::GrayView;
 use crate::lattice::{self, LatticeFinder, RestLattice};
 use crate::math::DVec2;
-use crate::params::{LabelMethod, Params, Search};
+use crate::params::{Background, Centre, DetectParams, FindAt, LabelMethod, Params, Search, Threshold};
 use crate::track::{Certainty, MarkerState, Tracker, Tracks, VerifiedTracker};
+use alloc::boxed::Box;
 use alloc::vec::Vec;
 
 /// One view's stages, from image to labelled markers.
@@ -18,6 +20,19 @@ pub(super) struct ViewStages {
     view: View,
     size_px: (usize, usize),
     detector: Detector,
+    /// [`DetectRung::Cheaper`], since the first frame with a limit; `None` where the settings have none.
+    cheaper: Option<Box<Detector>>,
+    rung: DetectRung,
+    /// The settings' own rung.
+    centre: Centre,
+    /// Whether frames have limits.
+    is_limited: bool,
+    /// Predicted work of this frame's detection.
+    pub work: u64,
+    /// Whether this frame's markers are held because its limit left no time to label them afresh.
+    skipped: bool,
+    /// Area of the usual marker of the rest frame.
+    usual_px2: f64,
     markers: Markers,
     detected: Result<(), DetectError>,
     tracker: Tracker,
@@ -47,6 +62,13 @@ impl ViewStages {
             view,
             size_px,
             detector: Detector::new(&params.detect).within(params.detect.roi.of(view)),
+            cheaper: None,
+            rung: DetectRung::Configured,
+            centre: params.detect.centre,
+            is_limited: false,
+            work: 0,
+            skipped: false,
+            usual_px2: 0.0,
             markers: Markers::default(),
             detected: Ok(()),
             tracker: Tracker::new(&params.track),
@@ -70,6 +92,7 @@ impl ViewStages {
     /// Clears detection state from earlier images.
     pub fn forget(&mut self) {
         self.detector.reset();
+        self.cheaper.iter_mut().for_each(|detector| detector.reset());
     }
 
     pub fn check_size(&self, image: &GrayView<'_>) -> Result<(), PipelineError> {
@@ -83,21 +106,98 @@ impl ViewStages {
 
     /// Finds markers, by the method of `detect.search` if this frame follows another. Leaves the tracks
     /// unchanged.
-    pub fn detect(&mut self, image: GrayView<'_>, params: &Params, follows: bool) {
-        let windows = follows && params.detect.search == Search::Windows && is_certain(params, &self.tracks);
-        self.searched = if windows && self.detect_in_windows(image, params) {
+    ///
+    /// With a limit, the first of these whose predicted work fits: the settings' own search; windows with the
+    /// settings' rung; windows with the cheaper one. If windows are not sufficient, the whole image is
+    /// searched by the first rung that fits. If none fits after the windows, but would without them, the
+    /// markers are held for this frame, and the next one is searched whole. If none would, the cheaper rung
+    /// searches the whole image beyond the limit: without labels, later frames would be lost too.
+    pub fn detect(&mut self, image: GrayView<'_>, params: &Params, follows: bool, limit: Option<u64>) {
+        (self.work, self.skipped, self.rung) = (0, false, DetectRung::Configured);
+        let size = self.size(params);
+        let limit = limit.filter(|_| follows);
+        if let Some(rung) = self.rung_of_windows(params, follows, limit, &size) {
+            self.rung = rung;
+            self.work = work::windows(&params.detect, rung, &size);
+            self.searched = Searched::Windows;
             self.detected = Ok(());
-            Searched::Windows
-        } else {
-            self.detected = self.detector.run(image, &mut self.markers);
-            Searched::Whole
+            if self.detect_in_windows(image, params) {
+                return;
+            }
+            let least = work::whole(&params.detect, self.last_rung(), &size);
+            let fits_next = |limit| (least..self.work + least).contains(&limit);
+            self.skipped = params.label.method == LabelMethod::Lattice && limit.is_some_and(fits_next);
+            if self.skipped {
+                return;
+            }
+        }
+        let is_over = |rung| {
+            let work = self.work + work::whole(&params.detect, rung, &size);
+            limit.is_some_and(|limit| work > limit)
         };
+        self.rung = if is_over(DetectRung::Configured) { self.last_rung() } else { DetectRung::Configured };
+        self.work += work::whole(&params.detect, self.rung, &size);
+        let detector = match (&mut self.cheaper, self.rung) {
+            (Some(cheaper), DetectRung::Cheaper) => cheaper.as_mut(),
+            _ => &mut self.detector,
+        };
+        self.detected = detector.run(image, &mut self.markers);
+        self.searched = Searched::Whole;
+    }
+
+    /// Makes the cheaper rung before the first frame with a limit; returns whether [`Self::prepare`] is
+    /// then due.
+    pub fn begin_limits(&mut self, params: &Params) -> bool {
+        if core::mem::replace(&mut self.is_limited, true) {
+            return false;
+        }
+        let within = |detect| Detector::new(&detect).within(params.detect.roi.of(self.view));
+        self.cheaper = cheaper(&params.detect).map(within).map(Box::new);
+        true
+    }
+
+    /// The rung that searches windows of this frame; `None` to search the whole image.
+    fn rung_of_windows(
+        &self,
+        params: &Params,
+        follows: bool,
+        limit: Option<u64>,
+        size: &ViewSize,
+    ) -> Option<DetectRung> {
+        let are_ready = follows && self.windows.are_ready() && is_certain(params, &self.tracks);
+        let fits = |work: u64| limit.is_none_or(|limit| work <= limit);
+        match params.detect.search {
+            _ if !are_ready => None,
+            Search::Whole if fits(work::whole(&params.detect, DetectRung::Configured, size)) => None,
+            _ if fits(work::windows(&params.detect, DetectRung::Configured, size)) => {
+                Some(DetectRung::Configured)
+            }
+            _ => Some(self.last_rung()),
+        }
+    }
+
+    /// The cheapest rung that these settings have.
+    const fn last_rung(&self) -> DetectRung {
+        if self.cheaper.is_some() { DetectRung::Cheaper } else { DetectRung::Configured }
+    }
+
+    /// What this view's work grows with.
+    pub fn size(&self, params: &Params) -> ViewSize {
+        let (width, height) = match params.detect.roi.of(self.view).rect_px {
+            Some([.., width, height]) => (width, height),
+            None => self.size_px,
+        };
+        ViewSize { pixels: width * height, markers: self.rows * self.cols, marker_px2: self.usual_px2 }
     }
 
     /// Runs detection and tracking in windows. Returns whether they are as certain as the previous frame;
     /// the tracks are then in `windows`.
     fn detect_in_windows(&mut self, image: GrayView<'_>, params: &Params) -> bool {
-        let Self { windows, detector, tracker, checked, tracks, .. } = self;
+        let Self { windows, detector, cheaper, rung, tracker, checked, tracks, .. } = self;
+        let detector = match (cheaper, rung) {
+            (Some(cheaper), DetectRung::Cheaper) => cheaper.as_mut(),
+            _ => detector,
+        };
         let predicted_px = match params.label.method {
             LabelMethod::Lattice => checked.predict(tracks),
             LabelMethod::Foresight => tracks.positions_px.as_slice(),
@@ -119,10 +219,18 @@ impl ViewStages {
 
     /// Reserves memory for windows in the rest frame, so that no later frame allocates.
     pub fn prepare(&mut self, image: GrayView<'_>, params: &Params) {
-        if params.detect.search == Search::Windows {
-            let Self { windows, detector, markers, tracks, .. } = self;
+        self.usual_px2 = self.median_area_px2();
+        if let Some(cheaper) = &mut self.cheaper {
+            // It learns the image's noise.
+            let _ = cheaper.run(image, &mut self.windows.found.markers);
+        }
+        if self.is_limited || params.detect.search == Search::Windows {
+            let Self { windows, detector, cheaper, markers, tracks, .. } = self;
             let size_px = (image.width(), image.height());
             let lattice = LatticeScale { cols: self.cols, pitch_px: self.pitch_px };
+            cheaper
+                .iter_mut()
+                .for_each(|detector| windows.begin(detector, size_px, lattice, markers, tracks));
             windows.begin(detector, size_px, lattice, markers, tracks);
         }
     }
@@ -238,6 +346,10 @@ impl ViewStages {
 
     /// Updates the tracks to this frame.
     fn track(&mut self, params: &Params) -> Certainty {
+        if self.skipped {
+            self.checked.hold(&mut self.tracks);
+            return Certainty::Uncertain;
+        }
         if self.searched == Searched::Windows {
             core::mem::swap(&mut self.tracks, &mut self.windows.tracks);
             return Certainty::Certain;
@@ -254,7 +366,15 @@ impl ViewStages {
             Searched::Whole => &self.markers,
             Searched::Windows => &self.windows.found.markers,
         };
-        ViewEvidence { detected: markers.centres_px.len(), labels, relabelled, searched: self.searched }
+        let is_degraded = self.rung == DetectRung::Cheaper;
+        ViewEvidence {
+            detected: markers.centres_px.len(),
+            labels,
+            relabelled,
+            searched: self.searched,
+            centre: if is_degraded { Centre::SoftThreshold } else { self.centre },
+            is_degraded,
+        }
     }
 
     /// Every marker of this frame, row by row.
@@ -296,6 +416,18 @@ impl ViewStages {
         let relabelled = self.order.iter().enumerate().filter(|&(slot, &track)| slot != track).count();
         self.evidence = self.evidence(LabelSource::Foresight, relabelled);
     }
+}
+
+/// Settings of the cheaper rung; `None` where the settings' own is the cheapest, or is the paper's.
+fn cheaper(params: &DetectParams) -> Option<DetectParams> {
+    let has_one = params.centre == Centre::Fit
+        && params.threshold == Threshold::Auto
+        && params.background == Background::Blocks;
+    has_one.then(|| DetectParams {
+        centre: Centre::SoftThreshold,
+        find_at: FindAt::HalfSize,
+        ..params.clone()
+    })
 }
 
 /// Whether the tracks give the position of each marker. Where to search depends on them alone, so a

@@ -66,6 +66,11 @@ impl Windows {
         }
     }
 
+    /// Whether these markers suit windows, and memory is reserved.
+    pub const fn are_ready(&self) -> bool {
+        self.marker_size.is_some()
+    }
+
     /// Searches around the predicted positions, row by row; returns whether the observations are as
     /// expected. Never so if these markers do not suit windows.
     pub fn look(

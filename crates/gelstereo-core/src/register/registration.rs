@@ -61,6 +61,10 @@ pub struct Registration {
     /// Other poses that explain the contact about as well, most likely first. Only `surface_search` looks
     /// for them.
     pub alternatives: Alternatives,
+    /// Work that `register.surface_search.budget` bounds, in lookups of the field of distances; 0 for methods
+    /// without a budget. It is no part of the digest.
+    #[cfg_attr(feature = "serde", serde(default))]
+    pub work: u64,
 }
 
 impl Registration {

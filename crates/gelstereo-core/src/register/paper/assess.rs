@@ -63,6 +63,7 @@ pub(super) fn registration(
         verdict: Verdict::Unsure,
         gel_decay: None,
         alternatives: Alternatives::NONE,
+        work: 0,
         // Normals are read at samples, hence up to half a spacing away.
         free: FreeDirections::new(&in_object, params.point_sigma_mm.max(0.5 * template.spacing_mm()), &[]),
     })

@@ -49,6 +49,7 @@ pub(super) fn registration(
         verdict: Verdict::new(log_odds, objective.misfit(problem), end.converged),
         gel_decay: objective.gel_decay(problem, best),
         alternatives: alternatives(samples, candidates, outcome.is_cut),
+        work: outcome.work,
     }
 }
 

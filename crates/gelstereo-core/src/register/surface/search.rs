@@ -23,6 +23,8 @@ pub(super) struct Outcome {
     pub is_cut: bool,
     /// Whether the pose was selected among many.
     pub is_selected: bool,
+    /// In lookups of the field.
+    pub work: u64,
 }
 
 /// Lists of candidates, reused between runs.
@@ -86,7 +88,7 @@ impl Search<'_> {
         // If the part is not what is in contact, there are no alternatives.
         if odds.log <= 0.0 {
             best.truncate(1);
-            return Outcome { end, read: best[0], is_cut, is_selected: true };
+            return Outcome { end, read: best[0], is_cut, is_selected: true, work: self.work };
         }
         // If the gel does not follow its model, likelihoods of poses are not comparable. Only rotations
         // after which the part looks the same are then known.
@@ -105,6 +107,6 @@ impl Search<'_> {
             objective.read(self, &mut read);
         }
         let read = Candidate { placement: read.placement, ..best[0] };
-        Outcome { end, read, is_cut: is_cut || found.is_cut, is_selected: true }
+        Outcome { end, read, is_cut: is_cut || found.is_cut, is_selected: true, work: self.work }
     }
 }

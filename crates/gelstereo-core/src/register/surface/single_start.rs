@@ -51,7 +51,7 @@ impl Search<'_> {
         one.cost = cost;
         candidates.clear();
         candidates.push(one);
-        Outcome { end, read: one, is_cut: false, is_selected: false }
+        Outcome { end, read: one, is_cut: false, is_selected: false, work: self.work }
     }
 
     /// Coarse passes of decreasing width.
