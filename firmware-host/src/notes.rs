@@ -6,10 +6,11 @@ use crate::sensing::{Action, Sensing, SensingError};
 use gelstereo_core::register::{Registration, TrackingStatus};
 use gelstereo_core::track::MarkerState;
 
-/// Note for the topic `/gelstereo/frame`: figures and digest of a frame, or the error.
+/// Note for the topic `/gelstereo/frame`: figures and digest of a frame, or the error; with a deadline also the
+/// limit of work and whether a cheaper method was used.
 #[must_use]
 pub fn frame_note(sensed: &Result<(), SensingError>, sensing: &Sensing) -> serde_json::Value {
-    match sensed {
+    let mut note = match sensed {
         Err(error) => serde_json::json!({ "error": error.to_string() }),
         Ok(()) => {
             let frame = sensing.frame();
@@ -23,7 +24,13 @@ pub fn frame_note(sensed: &Result<(), SensingError>, sensing: &Sensing) -> serde
                 "digest": format!("{:016x}", frame.digest()),
             })
         }
+    };
+    if let Some(limit) = sensing.work_limit() {
+        // A replay uses it instead of a clock.
+        note["work_limit"] = limit.into();
+        note["degraded"] = (sensing.frame().left.is_degraded || sensing.frame().right.is_degraded).into();
     }
+    note
 }
 
 /// Name of a tracking status in notes and lines.

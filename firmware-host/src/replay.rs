@@ -172,8 +172,8 @@ struct Replay {
     pair: StereoPair,
     /// Recorded capture data of the pair whose images come next.
     capture: Option<CaptureNote>,
-    /// The last pair's computed note, until the recorded one arrives for comparison.
-    computed: Option<String>,
+    /// Whether a pair waits for its recorded note.
+    is_complete: bool,
     report: ReplayReport,
 }
 
@@ -211,7 +211,7 @@ impl Replay {
             decoder: ImageDecoder::default(),
             pair: StereoPair::default(),
             capture: None,
-            computed: None,
+            is_complete: false,
             report,
         };
         if opening.part > 0 || opening.attachments.contains_key(ATTACHMENT_REST) {
@@ -269,7 +269,8 @@ impl Replay {
             Topic::Capture => self.captured(messages::read_string(data).map_err(fail)?)?,
             Topic::Frame => {
                 let recorded = messages::read_string(data).map_err(fail)?;
-                if let Some(computed) = self.computed.take() {
+                if core::mem::take(&mut self.is_complete) {
+                    let computed = self.sense(recorded)?;
                     self.compare(recorded, computed);
                     self.report.frames += 1;
                 }
@@ -286,8 +287,17 @@ impl Replay {
                 && pixel_crc(&self.pair.right) == note.right_crc32;
             self.report.other_pixels += u64::from(!same);
         }
-        let sensed = self.sensing.process(&self.pair).map(|_| ());
-        self.computed = Some(frame_note(&sensed, &self.sensing).to_string());
+        self.is_complete = true;
+    }
+
+    /// Senses the complete pair, with the limit of work that was recorded with it.
+    fn sense(&mut self, recorded: &str) -> Result<String, HostError> {
+        let note: serde_json::Value = serde_json::from_str(recorded).map_err(|error| {
+            RecordingError::Content { place: Topic::Frame.name(), error: error.to_string() }
+        })?;
+        let limit = note.get("work_limit").and_then(serde_json::Value::as_u64);
+        let sensed = self.sensing.process_within(&self.pair, limit).map(|_| ());
+        Ok(frame_note(&sensed, &self.sensing).to_string())
     }
 
     /// Takes the capture data of the next pair, or an event of the source or the recording.

@@ -154,7 +154,8 @@ impl Setup {
     fn with_part_at(config: &Config, place: Place) -> Result<Self, HostError> {
         config.validate()?;
         let part = Part::load(&config.part.shape)?;
-        let sensing = Sensing::new(&config.rig()?, &config.params, part.template(&config.part)?)?;
+        let sensing = Sensing::new(&config.rig()?, &config.params, part.template(&config.part)?)?
+            .with_deadline(config.deadline_ms);
         let goal = goal(config, &sensing)?;
         let world = World::shared(config, place)?;
         let source: Box<dyn FrameSource> = match open_source(&config.source)? {

@@ -1,11 +1,11 @@
 //! Facade over pipeline, registration and template, shared by the job and the replay.
 
-use crate::source::StereoPair;
+use crate::source::{StereoPair, monotonic_ns};
 use gelstereo_core::image::ImageError;
 use gelstereo_core::math::linalg::{Symmetric, eigen};
 use gelstereo_core::math::{DMat3, DQuat, DVec3, Pose, so3};
 use gelstereo_core::params::Params;
-use gelstereo_core::pipeline::{Frame, Pipeline, PipelineError, PitchCheck, RestRecord, Touch};
+use gelstereo_core::pipeline::{Frame, Pace, Pipeline, PipelineError, PitchCheck, RestRecord, Touch};
 use gelstereo_core::register::{Localizer, RegisterError, Registrar, Registration, Template, TrackingStatus};
 use gelstereo_core::rig::Rig;
 use gelstereo_core::track::MarkerState;
@@ -109,6 +109,11 @@ pub struct Sensing {
     template: Template,
     frame: Frame,
     touch: Touch,
+    deadline_ms: Option<f64>,
+    /// This computer's, learned from frames with a deadline.
+    pace: Pace,
+    /// Limit of the last frame.
+    work_limit: Option<u64>,
 }
 
 impl Sensing {
@@ -125,7 +130,16 @@ impl Sensing {
             template,
             frame: Frame::default(),
             touch: Touch::default(),
+            deadline_ms: None,
+            pace: Pace::default(),
+            work_limit: None,
         })
+    }
+
+    /// With a time in which each frame must be sensed.
+    #[must_use]
+    pub fn with_deadline(self, deadline_ms: Option<f64>) -> Self {
+        Self { deadline_ms, ..self }
     }
 
     /// The last good frame.
@@ -166,15 +180,37 @@ impl Sensing {
         self.pipeline.resume(record).map_err(SensingError::Pipeline)
     }
 
-    /// Processes one stereo pair.
+    /// Processes one stereo pair, within the deadline if there is one.
     ///
     /// # Errors
     /// [`SensingError`].
     pub fn process(&mut self, pair: &StereoPair) -> Result<&Frame, SensingError> {
+        let begun_ns = monotonic_ns();
+        // Without a known pace there is no limit yet, but the cheaper methods are prepared.
+        let limit = |deadline_ms: f64| self.pace.limit((1e6 * deadline_ms) as u64).unwrap_or(u64::MAX);
+        self.process_within(pair, self.deadline_ms.map(limit))?;
+        if self.deadline_ms.is_some() && self.frame.index > 0 {
+            self.pace.observe(self.frame.work, monotonic_ns().saturating_sub(begun_ns));
+        }
+        Ok(&self.frame)
+    }
+
+    /// Processes one stereo pair with this limit of work, as recorded with an earlier one.
+    ///
+    /// # Errors
+    /// [`SensingError`].
+    pub fn process_within(&mut self, pair: &StereoPair, limit: Option<u64>) -> Result<&Frame, SensingError> {
+        self.work_limit = limit;
         let left = pair.left.view().map_err(SensingError::Image)?;
         let right = pair.right.view().map_err(SensingError::Image)?;
-        self.pipeline.process(left, right, &mut self.frame).map_err(SensingError::Pipeline)?;
+        self.pipeline.process_within(left, right, limit, &mut self.frame).map_err(SensingError::Pipeline)?;
         Ok(&self.frame)
+    }
+
+    /// Limit of work of the last frame; `None` without a deadline.
+    #[must_use]
+    pub const fn work_limit(&self) -> Option<u64> {
+        self.work_limit
     }
 
     /// Checks whether the last good frame shows enough markers to act on.

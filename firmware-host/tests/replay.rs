@@ -121,6 +121,36 @@ fn a_ring_keeps_what_its_replay_needs() {
     assert!(report.to_string().contains("begins in the middle of a run"), "{report}");
 }
 
+/// The recorded limits of work decide, not a clock: deadlines that leave the cheapest methods, and some between.
+#[test]
+fn a_run_with_deadlines_is_computed_again_bit_by_bit() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("run.mcap");
+    for (deadline_ms, degrades) in [(0.01, true), (1000.0, false)] {
+        let mut config = Config { deadline_ms: Some(deadline_ms), ..Config::default() };
+        config.task.insertion_speed_mm_s = 20.0;
+        config.recording.path.clone_from(&path);
+        run(&config, &AtomicBool::new(false), &mut |_| {}).unwrap();
+        let notes = frame_notes(&path);
+        let limited = notes.iter().filter(|note| note["work_limit"].is_u64()).count();
+        let degraded = notes.iter().filter(|note| note["degraded"] == true).count();
+        assert_eq!(limited, notes.len());
+        assert_eq!(degraded > notes.len() / 2, degrades, "{degraded} of {}", notes.len());
+        let report = again(&path, None).unwrap();
+        assert_eq!((report.frames, report.differing), (notes.len() as u64, 0), "{report}");
+    }
+}
+
+fn frame_notes(path: &Path) -> Vec<serde_json::Value> {
+    let bytes = std::fs::read(path).unwrap();
+    let messages = mcap::MessageStream::new(&bytes).unwrap().map(Result::unwrap);
+    let of_frames = messages.filter(|message| message.channel.topic == "/gelstereo/frame");
+    // A string in CDR: encapsulation, length, bytes and a zero.
+    of_frames
+        .map(|message| serde_json::from_slice(&message.data[8..message.data.len() - 1]).unwrap())
+        .collect()
+}
+
 #[test]
 fn every_third_pair_can_be_computed_again() {
     let folder = tempfile::tempdir().unwrap();

@@ -80,6 +80,10 @@ pub struct Config {
     pub mount: SensorMount,
     /// Settings of the pipeline and of registration.
     pub params: Params,
+    /// Time in which a frame must be sensed: cheaper methods are used where the settings' own would take
+    /// longer. Valid: 0.01 to 1000 ms. Default: none. Set it where a control loop waits for the frame.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub deadline_ms: Option<f64>,
     /// The calibrated rig, inline. Default with the simulated sensor: [`Scene::default_rig`].
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rig: Option<Rig>,
@@ -108,6 +112,7 @@ impl Default for Config {
             simulated: SimulatedConfig::default(),
             mount: SensorMount::facing(FingerKinematics::robotiq_2f85(), gel_centre_mm),
             params: Params::preset(DEFAULT_PRESET).unwrap_or_default(),
+            deadline_ms: None,
             rig: None,
         }
     }
@@ -234,6 +239,9 @@ impl Config {
         let rig = self.rig()?;
         rig.validate().map_err(ConfigError::Rig)?;
         range::check_rig(&rig)?;
+        if let Some(deadline_ms) = self.deadline_ms {
+            range::DEADLINE_MS.check("deadline_ms", deadline_ms)?;
+        }
         self.source.validate()?;
         self.gripper.validate()?;
         self.robot.validate()?;

@@ -43,6 +43,7 @@ pub(super) const SPACING_MM: Range = Range { low: 0.01, high: 100.0, words: "0.0
 pub(super) const HOLE_MM: Range = Range { low: 0.1, high: 1e3, words: "0.1 to 1000 mm" };
 pub(super) const SPEED_MM_S: Range = Range { low: 0.01, high: 1e4, words: "0.01 to 10000 mm/s" };
 pub(super) const TIME_S: Range = Range { low: 1e-3, high: 3600.0, words: "0.001 to 3600 s" };
+pub(super) const DEADLINE_MS: Range = Range { low: 0.01, high: 1e3, words: "0.01 to 1000 ms" };
 pub(super) const PERIODS: Range = Range { low: 1.0, high: 1e3, words: "1 to 1000" };
 /// Below this, noise alone would stop moves; see `task/noise.rs`.
 pub(super) const SIGMAS: Range = Range { low: 7.3, high: 1e6, words: "7.3 to 1000000" };
