@@ -14,12 +14,21 @@ from gelstereo.cli.options import count
 from gelstereo_bench.frontier.boards import measure_boards
 from gelstereo_bench.frontier.building import measure_building
 from gelstereo_bench.frontier.centres import CONDITIONS, measure_centres
+from gelstereo_bench.frontier.cost import cost_table, fit_costs, measure_costs, rust_lines
 from gelstereo_bench.frontier.covariance import measure_covariance
+from gelstereo_bench.frontier.deadlines import deadline_table, measure_deadlines
 from gelstereo_bench.frontier.figures import draw_errors, draw_growth
 from gelstereo_bench.frontier.grasps import GRASPED, NOISES
 from gelstereo_bench.frontier.localization import measure_localization
 from gelstereo_bench.frontier.nearest import measure_nearest
-from gelstereo_bench.frontier.page import LOCALIZATION_SECTIONS, SECTIONS, check_page, row_tables, write_page
+from gelstereo_bench.frontier.page import (
+    LOCALIZATION_SECTIONS,
+    SECTIONS,
+    check_page,
+    row_tables,
+    write_page,
+    write_table,
+)
 from gelstereo_bench.frontier.registering import measure_registration
 from gelstereo_bench.frontier.saliency import measure_saliency
 from gelstereo_bench.frontier.scenes import LATTICES
@@ -43,6 +52,8 @@ __all__ = ["EXAMPLES", "add_arguments", "run"]
 EXAMPLES = """examples:
   gelstereo frontier                     measure everything and write docs/accuracy-vs-time.md (minutes)
   gelstereo frontier localization        registration beside other libraries: docs/localization.md
+  gelstereo frontier cost                instructions over image size and markers: the model of deadlines
+  gelstereo frontier deadlines           how often deadlines are kept beside another process
   gelstereo frontier --quick --docs out  a few rounds, to see that all methods run
 """
 
@@ -50,7 +61,11 @@ EXAMPLES = """examples:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument(
-        "topic", nargs="?", choices=("sensing", "localization"), default="sensing", help="what is measured"
+        "topic",
+        nargs="?",
+        choices=("sensing", "localization", "cost", "deadlines"),
+        default="sensing",
+        help="what is measured",
     )
     parser.add_argument("--docs", type=Path, default=Path("docs"), help="folder with the pages")
     parser.add_argument("--quick", action="store_true", help="few rounds and starts: figures mean little")
@@ -73,6 +88,10 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         if arguments.topic == "localization":
             return _localization(arguments, rounds, starts)
+        if arguments.topic == "cost":
+            return _cost(arguments)
+        if arguments.topic == "deadlines":
+            return _deadlines(arguments)
         return _sensing(arguments, rounds, starts)
     finally:
         cv2.setNumThreads(threads)
@@ -102,6 +121,26 @@ def _localization(arguments: argparse.Namespace, rounds: int, starts: int) -> in
     )
     write_page(page, tables, targets, rounds, said)
     return _done(page, targets)
+
+
+def _cost(arguments: argparse.Namespace) -> int:
+    page = arguments.docs / "accuracy-vs-time.md"
+    check_page(page, ("cost",))
+    samples = measure_costs(Path.cwd(), _report, arguments.quick)
+    cost = fit_costs(samples)
+    write_table(page, cost_table(samples, cost))
+    print(f"wrote {page}; for crates/gelstereo-core/src/pipeline/work.rs:\n{rust_lines(cost)}")
+    return 0
+
+
+def _deadlines(arguments: argparse.Namespace) -> int:
+    page = arguments.docs / "accuracy-vs-time.md"
+    check_page(page, ("deadlines",))
+    found = measure_deadlines(500 if arguments.quick else 100_000, _report)
+    write_table(page, deadline_table(found))
+    late = [kept for kept in found if kept.late_share > 0.001]
+    print(f"wrote {page}; {len(found) - len(late)} of {len(found)} deadlines kept in 99.9 % of the frames")
+    return 0
 
 
 def _done(page: Path, targets: Sequence[Target]) -> int:

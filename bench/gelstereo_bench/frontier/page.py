@@ -14,7 +14,7 @@ from gelstereo_bench.frontier.table import Table, Target
 from gelstereo_bench.reports.markdown import ReportError, replace_between, table
 from gelstereo_bench.reports.provenance import processor
 
-__all__ = ["LOCALIZATION_SECTIONS", "SECTIONS", "check_page", "row_tables", "write_page"]
+__all__ = ["LOCALIZATION_SECTIONS", "SECTIONS", "check_page", "row_tables", "write_page", "write_table"]
 
 #: Names of the markers of docs/localization.md.
 LOCALIZATION_SECTIONS = ("conditions", "targets", "localization", "near", "budgets", "parts", "nees")
@@ -77,6 +77,11 @@ def write_page(
         for part in tables:
             replace_between(draft, part.name, table(part.head, part.rows))
         os.replace(draft, page)
+
+
+def write_table(page: Path, part: Table) -> None:
+    """Fill one table of a page."""
+    replace_between(page, part.name, table(part.head, part.rows))
 
 
 def row_tables(rows: Sequence[Row]) -> list[Table]:

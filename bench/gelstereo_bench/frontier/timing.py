@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import subprocess
@@ -60,7 +61,7 @@ def _built(source: Path | None, example: str) -> Path | None:
     build += ["--features", "serde", "--example", example]
     if subprocess.run(build, cwd=source, check=False).returncode != 0:
         return None
-    return source / "target" / "release" / "examples" / example
+    return Path(os.environ.get("CARGO_TARGET_DIR", source / "target")) / "release" / "examples" / example
 
 
 class InstructionCounter:
