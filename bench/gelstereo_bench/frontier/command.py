@@ -14,7 +14,7 @@ from gelstereo.cli.options import count
 from gelstereo_bench.frontier.boards import measure_boards
 from gelstereo_bench.frontier.building import measure_building
 from gelstereo_bench.frontier.centres import CONDITIONS, measure_centres
-from gelstereo_bench.frontier.cost import cost_table, fit_costs, measure_costs, rust_lines
+from gelstereo_bench.frontier.cost import cost_table, fit_costs, measure_costs, rust_lines, time_table
 from gelstereo_bench.frontier.covariance import measure_covariance
 from gelstereo_bench.frontier.deadlines import deadline_table, measure_deadlines
 from gelstereo_bench.frontier.figures import draw_errors, draw_growth
@@ -125,10 +125,11 @@ def _localization(arguments: argparse.Namespace, rounds: int, starts: int) -> in
 
 def _cost(arguments: argparse.Namespace) -> int:
     page = arguments.docs / "accuracy-vs-time.md"
-    check_page(page, ("cost",))
+    check_page(page, ("cost", "cost-times"))
     samples = measure_costs(Path.cwd(), _report, arguments.quick)
     cost = fit_costs(samples)
     write_table(page, cost_table(samples, cost))
+    write_table(page, time_table(samples, cost))
     print(f"wrote {page}; for crates/gelstereo-core/src/pipeline/work.rs:\n{rust_lines(cost)}")
     return 0
 

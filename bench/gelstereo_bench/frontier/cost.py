@@ -16,12 +16,12 @@ from gelstereo.tune.rungs import Rung, params_of, rungs_of
 from gelstereo_bench.frontier.runners import write_input
 from gelstereo_bench.frontier.scenes import FORMATS, Format, sphere_press
 from gelstereo_bench.frontier.table import Report, Table
-from gelstereo_bench.frontier.timing import InstructionCounter
+from gelstereo_bench.frontier.timing import InstructionCounter, Stopwatch, Times
 
 with needs(__name__):
     from scipy.optimize import nnls
 
-__all__ = ["Cost", "Sample", "cost_table", "fit_costs", "measure_costs", "rust_lines"]
+__all__ = ["Cost", "Sample", "cost_table", "fit_costs", "measure_costs", "rust_lines", "time_table"]
 
 Array = npt.NDArray[np.float64]
 
@@ -45,6 +45,8 @@ DETECT_TERMS = (
     "WINDOWS_FINE_FIT",
 )
 FRAME_TERMS = ("FRAME", "RAYS", "DISC_BIAS", "PRESSURE", "ADAPTIVE")
+#: Three short measurements, of the smallest size, that tell a machine's time for a unit of work.
+REFERENCES = ("WHOLE_SOFT_HALF", "WHOLE_FIT", "WINDOWS_FIT")
 #: Which parts a term has; what the data cannot tell apart is left to one term.
 _SHAPES: Mapping[str, tuple[bool, ...]] = {
     **{
@@ -84,6 +86,8 @@ class Sample:
     markers: int
     marker_px2: float
     instructions: float
+    #: Median time on this machine; NaN if not measured.
+    median_ms: float
 
     def row(self, columns: Sequence[tuple[str, int]]) -> Array:
         """Multiple of each coefficient."""
@@ -145,7 +149,7 @@ def _variants() -> list[Variant]:
 
 def measure_costs(source: Path, report: Report, quick: bool = False) -> list[Sample]:
     """Count the instructions of tracked frames of a press, for each variant on each size."""
-    counter = InstructionCounter(source)
+    counter, program = InstructionCounter(source), Stopwatch.program(source)
     out = []
     for size, lattice in _SIZES[:2] if quick else _SIZES:
         scene = size.scene(lattice)
@@ -154,7 +158,7 @@ def measure_costs(source: Path, report: Report, quick: bool = False) -> list[Sam
         for variant in _variants():
             report(f"cost: {size.name}, {lattice}x{lattice} markers, {variant.name}")
             params = params_of(()).replace({**variant.changes, "lattice.pitch_mm": pitch_mm})
-            sample = _sample(size, lattice, variant, params, frames, counter)
+            sample = _sample(size, lattice, variant, params, frames, counter, program)
             if sample is not None:
                 out.append(sample)
     return out
@@ -167,6 +171,7 @@ def _sample(
     params: Params,
     frames: Sequence[SimulatedFrame],
     counter: InstructionCounter,
+    program: Path | None,
 ) -> Sample | None:
     """`None` if the pipeline refuses the images, or searches whole images instead of windows."""
     pipeline = Pipeline(size.rig(), params)
@@ -178,7 +183,9 @@ def _sample(
     if any(view.searched != wanted for frame in found[1:] for view in (frame.left, frame.right)):
         return None
     with tempfile.TemporaryDirectory() as folder:
-        counts = counter.count_each("frames", write_input(Path(folder), params, frames, size.rig()))
+        files = write_input(Path(folder), params, frames, size.rig())
+        counts = counter.count_each("frames", files)
+        median_ms = _median_ms(program, files)
     if not counts:
         return None
     radius_px = _radius_px(size, frames[0], pipeline)
@@ -191,7 +198,16 @@ def _sample(
         found[0].rows * found[0].cols,
         float(np.pi * radius_px**2),
         float(np.median(counts[len(counts) // 2 :])),
+        median_ms,
     )
+
+
+def _median_ms(program: Path | None, files: Sequence[Path]) -> float:
+    """Of tracked frames after the map of points is fitted."""
+    if program is None:
+        return float("nan")
+    with Stopwatch(program, files) as watch:
+        return Times.of(watch.times_ns("track", 80)[40:]).median_ms
 
 
 def _radius_px(size: Format, rest: SimulatedFrame, pipeline: Pipeline) -> float:
@@ -221,6 +237,27 @@ def cost_table(samples: Sequence[Sample], cost: Cost) -> Table:
         cells.setdefault(sample.variant.name, {})[sample.size.name, sample.lattice] = text
     rows = [[name, *(line.get((size.name, n), "-") for size, n in _SIZES)] for name, line in cells.items()]
     return Table("cost", head, rows)
+
+
+def time_table(samples: Sequence[Sample], cost: Cost) -> Table:
+    """Measured times, and how far predictions from the three short measurements are off."""
+    predicted = [
+        1e-6 * ratio * sample.instructions for sample, ratio in zip(samples, cost.ratios, strict=True)
+    ]
+    of_terms = {
+        (sample.variant.terms[0], sample.size.name, sample.lattice): k for k, sample in enumerate(samples)
+    }
+    size, lattice = _SIZES[0]
+    known = [of_terms[term, size.name, lattice] for term in REFERENCES]
+    ms_per_unit = float(np.median([samples[k].median_ms / predicted[k] for k in known]))
+    head = ["method", *(f"{size.name}, {lattice}x{lattice}" for size, lattice in _SIZES)]
+    cells: dict[str, dict[tuple[str, int], str]] = {}
+    for k, sample in enumerate(samples):
+        off = predicted[k] * ms_per_unit / sample.median_ms - 1.0
+        text = f"{sample.median_ms:.2f} ({off:+.0%})"
+        cells.setdefault(sample.variant.name, {})[sample.size.name, sample.lattice] = text
+    rows = [[name, *(line.get((size.name, n), "-") for size, n in _SIZES)] for name, line in cells.items()]
+    return Table("cost-times", head, rows)
 
 
 def rust_lines(cost: Cost) -> str:

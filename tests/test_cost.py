@@ -1,0 +1,55 @@
+"""The cost model: a fit recovers what the samples were made of."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gelstereo_bench.frontier import cost
+from gelstereo_bench.frontier.cost import Sample, fit_costs, rust_lines, time_table
+
+
+def samples(seed: int, ms_per_unit: float) -> list[Sample]:
+    """Every variant on every size, with random coefficients."""
+    random = np.random.default_rng(seed)
+    out = []
+    coefficients: dict[tuple[str, int], float] = {}
+    for size, lattice in cost._SIZES:
+        width, height = size.size_px
+        area_px2 = float(0.2 * width * height / lattice**2 * random.uniform(0.1, 0.3))
+        for variant in cost._variants():
+            columns = [
+                (term, part)
+                for term in variant.terms
+                for part in range(len(cost.PARTS))
+                if cost._SHAPES[term][part]
+            ]
+            for column in columns:
+                coefficients.setdefault(column, random.uniform(1.0, 20.0))
+            sample = Sample(size, lattice, variant, width * height, lattice**2, area_px2, 0.0, 0.0)
+            units = float(sample.row(columns) @ [coefficients[column] for column in columns])
+            out.append(replace(sample, instructions=units * cost.UNIT, median_ms=units * ms_per_unit))
+    return out
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.integers(0, 10_000), st.floats(1e-5, 1e-2))
+def test_the_fit_predicts_what_it_was_fitted_to(seed: int, ms_per_unit: float) -> None:
+    made = samples(seed, ms_per_unit)
+    fitted = fit_costs(made)
+    assert np.allclose(fitted.ratios, 1.0, atol=1e-6)
+    cells = [cell for row in time_table(made, fitted).rows for cell in row[1:]]
+    assert all(cell.endswith(("(+0%)", "(-0%)")) for cell in cells), cells
+
+
+def test_the_constants_of_the_core_are_those_of_the_fit() -> None:
+    """Every term that the fit writes is a constant of `pipeline/work.rs`, and the other way round."""
+    import re
+    from pathlib import Path
+
+    source = Path(__file__).parents[1] / "crates/gelstereo-core/src/pipeline/work.rs"
+    in_core = set(re.findall(r"const (\w+): Cost = ", source.read_text(encoding="utf-8")))
+    assert in_core == set(re.findall(r"const (\w+): Cost", rust_lines(fit_costs(samples(1, 1e-3)))))
