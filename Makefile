@@ -37,6 +37,7 @@ test-rust: prerequisites
 lint: prerequisites
 	cargo clippy --workspace --all-targets --quiet -- -D warnings
 	cargo build --quiet --manifest-path tests/no_std_probe/Cargo.toml --target-dir target/no_std_probe
+	.ci/bare-metal.sh
 	RUSTDOCFLAGS="-D warnings" cargo doc --workspace --no-deps --quiet
 
 test-python: prerequisites $(BIN)/python
