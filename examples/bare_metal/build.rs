@@ -87,12 +87,7 @@ fn press(mesh: &TriangleMesh) -> Outcome<(Vec<Vec<u8>>, Pose)> {
     let middle_mm = 0.5 * rig::BASELINE_MM;
     let scene = Scene {
         rig: rig::rig(),
-        gel: Gel {
-            rows: rig::MARKERS,
-            cols: rig::MARKERS,
-            centre_mm: [middle_mm, 0.0],
-            ..Gel::default()
-        },
+        gel: Gel { rows: rig::MARKERS, cols: rig::MARKERS, centre_mm: [middle_mm, 0.0], ..Gel::default() },
         effects: Effects {
             defocus: Some(Defocus::default()),
             sensor_noise: Some(SensorNoise::default()),

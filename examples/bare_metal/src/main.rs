@@ -72,7 +72,12 @@ fn one_preset(index: usize, params: &Params) -> Outcome<()> {
     let mut sensing = Sensing::new(params)?;
     sense(&mut sensing, scene::SENSED[index])?;
     let used = HEAP.used();
-    println!("  sensing: heap {} bytes, reach {} bytes, stack {} bytes", used.peak_bytes, used.reach_bytes, stack::peak_bytes());
+    println!(
+        "  sensing: heap {} bytes, reach {} bytes, stack {} bytes",
+        used.peak_bytes,
+        used.reach_bytes,
+        stack::peak_bytes()
+    );
     #[cfg(feature = "pose")]
     locate(&sensing, params, scene::LOCATED[index])?;
     Ok(())
@@ -112,11 +117,19 @@ fn locate(sensing: &Sensing, params: &Params, expected: u64) -> Outcome<()> {
     let found = found?;
     let used = HEAP.used();
     println!("  registration: {count} instructions, {:?}", found.verdict);
-    println!("  pose: heap {} bytes, reach {} bytes, stack {} bytes", used.peak_bytes, used.reach_bytes, stack::peak_bytes());
+    println!(
+        "  pose: heap {} bytes, reach {} bytes, stack {} bytes",
+        used.peak_bytes,
+        used.reach_bytes,
+        stack::peak_bytes()
+    );
     let (turn_rad, _) = (t_sensor_part.inverse() * found.t_sensor_object).log();
     let [x, y, z] = found.t_sensor_object.translation_mm.to_array();
     let off_mm = found.t_sensor_object.translation_mm.distance(t_sensor_part.translation_mm);
-    println!("  part at ({x:.3}, {y:.3}, {z:.3}) mm, off by {off_mm:.3} mm and {:.2} deg", turn_rad.length().to_degrees());
+    println!(
+        "  part at ({x:.3}, {y:.3}, {z:.3}) mm, off by {off_mm:.3} mm and {:.2} deg",
+        turn_rad.length().to_degrees()
+    );
     compare("pose", found.digest(), expected)
 }
 
@@ -133,5 +146,8 @@ fn compare(what: &str, found: u64, expected: u64) -> Outcome<()> {
     if found == expected {
         return Ok(());
     }
-    Err(alloc::format!("the digest of the {what} is {found:016x}; on the machine that built this it is {expected:016x}").into())
+    Err(alloc::format!(
+        "the digest of the {what} is {found:016x}; on the machine that built this it is {expected:016x}"
+    )
+    .into())
 }
