@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from gelstereo.progress import Progress
-from gelstereo_bench.reports.firmware import CHIPS, Build, Chip, Cost, Firmware, measure
+from gelstereo_bench.reports.firmware import CHIPS, SIZES, Build, Chip, Cost, Firmware, measure
 from gelstereo_bench.reports.markdown import replace_between, table
 
 __all__ = ["flash_table", "instruction_table", "main", "memory_table", "small_table", "time_table"]
@@ -62,14 +62,27 @@ def memory_table(found: dict[Build, Firmware]) -> str:
     head += ["with registration: heap KiB", "to provide KiB", "stack KiB"]
     rows = []
     for build, images, preset, cost in _rows(found):
-        sizes = [_kib(size) for used in (cost.sensing, cost.pose) for size in (used.heap_bytes, used.reach_bytes, used.stack_bytes)]
+        sizes = [
+            _kib(size)
+            for used in (cost.sensing, cost.pose)
+            for size in (used.heap_bytes, used.reach_bytes, used.stack_bytes)
+        ]
         rows.append([images, build.chip.name, preset, *sizes])
     return table(head, rows)
 
 
 def instruction_table(found: dict[Build, Firmware]) -> str:
     """Millions of instructions of frames and of a registration."""
-    head = ["images, markers", "chip", "preset", "rest frame", "tracked frame", "largest of the others", "registration", "verdict"]
+    head = [
+        "images, markers",
+        "chip",
+        "preset",
+        "rest frame",
+        "tracked frame",
+        "largest of the others",
+        "registration",
+        "verdict",
+    ]
     rows = [
         [images, build.chip.name, preset]
         + [_millions(count) for count in (cost.rest, cost.tracked, cost.largest, cost.registration)]
@@ -82,7 +95,9 @@ def instruction_table(found: dict[Build, Firmware]) -> str:
 def time_table(found: dict[Build, Firmware]) -> str:
     """Milliseconds of a tracked frame and of a registration at one instruction a cycle."""
     head = ["images, markers", "preset"]
-    head += [f"{chip.name}, {chip.clock_mhz} MHz: {what}" for chip in CHIPS for what in ("frame", "registration")]
+    head += [
+        f"{chip.name}, {chip.clock_mhz} MHz: {what}" for chip in CHIPS for what in ("frame", "registration")
+    ]
     cells: dict[tuple[str, str], list[str]] = {}
     for build, images, preset, cost in _rows(found):
         times = [_milliseconds(count, build.chip) for count in (cost.tracked, cost.registration)]
@@ -97,7 +112,11 @@ def small_table(found: dict[Build, Firmware]) -> str:
         sensing, pose = (found[Build(_M4, pose=pose, opt_level=level)] for pose in (False, True))
         costs = [pose.presets[preset] for preset in ("fast", "balanced")]
         rows.append(
-            [f"{what} (`opt-level = {level}`)".replace("= s", '= "s"'), _kib(sensing.flash_bytes), _kib(pose.flash_bytes)]
+            [
+                f"{what} (`opt-level = {level}`)".replace("= s", '= "s"'),
+                _kib(sensing.flash_bytes),
+                _kib(pose.flash_bytes),
+            ]
             + [_millions(cost.tracked) for cost in costs]
             + [_millions(cost.registration) for cost in costs]
         )
@@ -107,7 +126,7 @@ def small_table(found: dict[Build, Firmware]) -> str:
 
 def _builds() -> list[Build]:
     """Everything that the page states, by image size and chip."""
-    whole = [Build(chip, is_vga=is_vga) for is_vga in (False, True) for chip in CHIPS]
+    whole = [Build(chip, size) for size in SIZES for chip in CHIPS]
     sensing = [Build(chip, pose=False) for chip in CHIPS]
     return [*whole, *sensing, *(Build(_M4, pose=pose, opt_level="s") for pose in (False, True))]
 

@@ -12,7 +12,19 @@ from pathlib import Path
 
 from gelstereo_bench.reports.markdown import ReportError
 
-__all__ = ["CHIPS", "Build", "Chip", "Cost", "Firmware", "Used", "measure", "missing", "read", "section_bytes"]
+__all__ = [
+    "CHIPS",
+    "SIZES",
+    "Build",
+    "Chip",
+    "Cost",
+    "Firmware",
+    "Used",
+    "measure",
+    "missing",
+    "read",
+    "section_bytes",
+]
 
 #: Frames over which the map from pixels to points is fitted in steps; a later one is a tracked frame.
 _FITTED_BY = 9
@@ -39,28 +51,44 @@ CHIPS = (
     Chip("Cortex-A53", "virt", "aarch64-unknown-none", "qemu-system-aarch64", 1400),
 )
 
+#: Image sizes, and the features of the example that select them.
+SIZES: dict[str, list[str]] = {"160x120": ["qqvga"], "320x240": [], "640x480": ["vga"]}
+
 
 @dataclass(frozen=True)
 class Build:
     """One build of the example."""
 
     chip: Chip
-    is_vga: bool = False
+    #: A key of `SIZES`.
+    size: str = "320x240"
     pose: bool = True
     opt_level: str = "3"
 
     @property
     def name(self) -> str:
         """Words for a progress bar."""
-        size, what = "640x480" if self.is_vga else "320x240", "pose" if self.pose else "sensing"
-        return f"{self.chip.name}, {size}, {what}, opt-level {self.opt_level}"
+        what = "pose" if self.pose else "sensing"
+        return f"{self.chip.name}, {self.size}, {what}, opt-level {self.opt_level}"
 
     def words(self, target_dir: Path) -> list[str]:
         """Options of Cargo, from the example's folder."""
-        features = [name for name, asked in (("pose", self.pose), ("vga", self.is_vga)) if asked]
+        features = ["pose"] * self.pose + SIZES[self.size]
         level = self.opt_level if self.opt_level.isdigit() else f'"{self.opt_level}"'
-        words = ["--release", "--quiet", "--locked", "--no-default-features", "--features", ",".join(features)]
-        words += ["--config", f"boards/{self.chip.board}.toml", "--config", f"profile.release.opt-level={level}"]
+        words = [
+            "--release",
+            "--quiet",
+            "--locked",
+            "--no-default-features",
+            "--features",
+            ",".join(features),
+        ]
+        words += [
+            "--config",
+            f"boards/{self.chip.board}.toml",
+            "--config",
+            f"profile.release.opt-level={level}",
+        ]
         return [*words, "--target-dir", str(target_dir)]
 
 
@@ -133,10 +161,12 @@ def measure(example: Path, build: Build) -> Firmware:
     lacks = missing(build.chip)
     if lacks is not None:
         raise ReportError(f"{build.name} needs {lacks}")
-    target_dir = example.resolve() / "target" / build.chip.board
+    target_dir = example.resolve() / "target"
     command = ["cargo", "run", *build.words(target_dir)]
     try:
-        done = subprocess.run(command, cwd=example, capture_output=True, text=True, check=False, timeout=_MAX_RUN_S)
+        done = subprocess.run(
+            command, cwd=example, capture_output=True, text=True, check=False, timeout=_MAX_RUN_S
+        )
     except subprocess.TimeoutExpired:
         raise ReportError(f"{build.name} did not end within {_MAX_RUN_S:.0f} s") from None
     if done.returncode != 0:
@@ -163,7 +193,9 @@ def read(text: str, sections: tuple[int, int]) -> Firmware:
 def _cost(text: str) -> Cost:
     counts = [int(count) for count in re.findall(r"frame \d+: .* (\d+) instructions", text)]
     if len(counts) <= _FITTED_BY:
-        raise ReportError(f"the example printed {len(counts)} frames of a preset; expected more than {_FITTED_BY}")
+        raise ReportError(
+            f"the example printed {len(counts)} frames of a preset; expected more than {_FITTED_BY}"
+        )
     sensing = _used("sensing", text)
     has_pose = re.search(r"registration: ", text) is not None
     registration = _words(r"registration: (\d+) instructions, (\w+)", text) if has_pose else ("0", "-")
