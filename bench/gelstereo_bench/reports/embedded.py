@@ -1,8 +1,8 @@
 """Flash, RAM and instructions of the core without an operating system, on processors that QEMU emulates.
 
-Run ``python -m gelstereo_bench.reports.embedded`` to fill docs/embedded.md. It builds ``examples/bare_metal`` for
-every chip, image size and set of features, and runs the result; it needs Cargo, the Rust targets of `CHIPS`, and
-QEMU's ``qemu-system-arm`` and ``qemu-system-aarch64``.
+Run ``python -m gelstereo_bench.reports.embedded`` to fill docs/embedded.md. It builds ``examples/bare_metal``
+for every chip, image size and set of features, and runs the result. It needs Cargo, the Rust targets of
+`CHIPS`, and QEMU's ``qemu-system-arm`` and ``qemu-system-aarch64``.
 """
 
 from __future__ import annotations

@@ -51,6 +51,9 @@ CHIPS = (
     Chip("Cortex-A53", "virt", "aarch64-unknown-none", "qemu-system-aarch64", 1400),
 )
 
+#: The board of the example's own configuration.
+_DEFAULT_BOARD = CHIPS[0].board
+
 #: Image sizes, and the features of the example that select them.
 SIZES: dict[str, list[str]] = {"160x120": ["qqvga"], "320x240": [], "640x480": ["vga"]}
 
@@ -75,21 +78,12 @@ class Build:
         """Options of Cargo, from the example's folder."""
         features = ["pose"] * self.pose + SIZES[self.size]
         level = self.opt_level if self.opt_level.isdigit() else f'"{self.opt_level}"'
-        words = [
-            "--release",
-            "--quiet",
-            "--locked",
-            "--no-default-features",
-            "--features",
-            ",".join(features),
-        ]
-        words += [
-            "--config",
-            f"boards/{self.chip.board}.toml",
-            "--config",
-            f"profile.release.opt-level={level}",
-        ]
-        return [*words, "--target-dir", str(target_dir)]
+        words = ["--release", "--quiet", "--locked", "--target-dir", str(target_dir)]
+        words += ["--no-default-features", "--features", ",".join(features)]
+        words += ["--config", f"profile.release.opt-level={level}"]
+        if self.chip.board != _DEFAULT_BOARD:
+            words += ["--config", f"boards/{self.chip.board}.toml"]
+        return words
 
 
 @dataclass(frozen=True)
