@@ -13,5 +13,5 @@ if ! [ -d "$(rustc --print target-libdir --target $target)" ] &&
     exit
 fi
 for features in "" "--no-default-features" "--features vga"; do
-    cargo clippy --quiet --locked $features -- -D warnings
+    cargo clippy --quiet --locked --target-dir ../../target/bare_metal $features -- -D warnings
 done

@@ -155,7 +155,7 @@ def measure(example: Path, build: Build) -> Firmware:
     lacks = missing(build.chip)
     if lacks is not None:
         raise ReportError(f"{build.name} needs {lacks}")
-    target_dir = example.resolve() / "target"
+    target_dir = example.resolve().parents[1] / "target" / "bare_metal"
     command = ["cargo", "run", *build.words(target_dir)]
     try:
         done = subprocess.run(
