@@ -127,9 +127,9 @@ def test_every_table_has_a_row_for_every_chip_size_and_preset() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("chip", CHIPS, ids=lambda chip: chip.board)
-def test_emulated_processors_give_the_bits_of_this_machine(chip) -> None:  # type: ignore[no-untyped-def]
-    if chip.board == "mps2-an386" and missing(chip) and shutil.which("rustup"):
+def test_an_emulated_processor_gives_the_bits_of_this_machine() -> None:
+    chip = CHIPS[0]
+    if shutil.which("rustup"):
         subprocess.run(["rustup", "--quiet", "target", "add", chip.target], check=False)
     reason = missing(chip)
     if reason is not None and os.environ.get("CI") == "true":
@@ -141,6 +141,6 @@ def test_emulated_processors_give_the_bits_of_this_machine(chip) -> None:  # typ
     assert tuple(found.presets) == PRESETS
     assert "all results have the bits of the machine that built this" in found.text
     assert found.text.count(" allocations in two frames, 0 in the next 14") == len(PRESETS)
-    # The counter steps by 40 or 16, and some instructions surround the loop.
+    # The counter has steps of 40, and a few instructions surround the loop.
     executed, counted = found.loop
     assert abs(counted - executed) <= 80
