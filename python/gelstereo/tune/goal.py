@@ -81,6 +81,17 @@ class Goal:
         if self.success is not None and not 0.0 < self.success <= 100.0:
             raise TuneError(f"success is {self.success} %; valid is above 0 and up to 100")
 
+    def check(self, has_part: bool) -> None:
+        """Refuse a goal that needs a part if there is none.
+
+        Raises
+        ------
+        TuneError
+            There is none.
+        """
+        if self.success is not None and not has_part:
+            raise TuneError("a success rate needs the part that is registered (--part)")
+
     def excess(self, outcome: Outcome) -> float:
         """How far an outcome misses the limits: the largest relative excess; 0 if it keeps them.
 

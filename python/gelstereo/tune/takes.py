@@ -68,6 +68,8 @@ class Takes:
     Attributes
     ----------
     rig : Rig
+    lattice : (int, int)
+        Rows and columns of the print.
     tuning, held_out : tuple of Take
     is_simulated : bool
         Whether the frames have their truth.
@@ -76,16 +78,19 @@ class Takes:
     """
 
     rig: Rig
+    lattice: tuple[int, int]
     tuning: tuple[Take, ...] = field(repr=False)
     held_out: tuple[Take, ...] = field(repr=False)
     is_simulated: bool
     digest: str
 
     @classmethod
-    def split(cls, rig: Rig, takes: Sequence[Take], is_simulated: bool, digest: str) -> Takes:
+    def split(
+        cls, rig: Rig, lattice: tuple[int, int], takes: Sequence[Take], is_simulated: bool, digest: str
+    ) -> Takes:
         """Every third take is held out, so that both kinds are from all times."""
         tuning = tuple(take for number, take in enumerate(takes) if number % 3 != 1)
-        return cls(rig, tuning, tuple(takes[1::3]), is_simulated, digest)
+        return cls(rig, lattice, tuning, tuple(takes[1::3]), is_simulated, digest)
 
 
 def simulated_takes(scene: Scene, count: int, *, sensor: Sensor | None = None) -> Takes:
@@ -117,7 +122,8 @@ def simulated_takes(scene: Scene, count: int, *, sensor: Sensor | None = None) -
     simulators = [Simulator(scene.replace({"seed": seed + number})) for number in range(count)]
     _enough(len(simulators[0]), "the scene", MIN_FRAMES)
     takes = [Take(partial(_simulated, simulator)) for simulator in simulators]
-    return Takes.split(scene.rig, takes, True, _digest_of_scene(scene))
+    gel = scene.to_dict()["gel"]
+    return Takes.split(scene.rig, (gel["rows"], gel["cols"]), takes, True, _digest_of_scene(scene))
 
 
 def _simulated(simulator: Simulator) -> list[Shot]:
@@ -146,7 +152,7 @@ def _digest_of_scene(scene: Scene) -> str:
     return found.hexdigest()
 
 
-def recorded_takes(path: Path, rig: Rig, count: int) -> Takes:
+def recorded_takes(path: Path, sensor: Sensor, count: int) -> Takes:
     """Cut a recording into takes: its first frame at rest, followed by consecutive frames.
 
     Every third take is held out. Of a long recording, each take has the first 60 frames of its share.
@@ -156,8 +162,8 @@ def recorded_takes(path: Path, rig: Rig, count: int) -> Takes:
     path
         MCAP file with images, or a folder with ``left/NAME.png`` and ``right/NAME.png``. Nothing touches the
         gel in its first frame.
-    rig
-        The sensor's.
+    sensor
+        The sensor that was recorded.
     count
         Largest number of takes, 2 or more; fewer if the recording is short.
 
@@ -176,13 +182,15 @@ def recorded_takes(path: Path, rig: Rig, count: int) -> Takes:
     @cache
     def shots() -> dict[int, Shot]:
         found = source.shots({0}.union(*spans))
-        _check_size(path, found[0], rig)
+        _check_size(path, found[0], sensor.rig)
         return found
 
     def load(span: range) -> list[Shot]:
         return [shots()[index] for index in (0, *span)]
 
-    return Takes.split(rig, [Take(partial(load, span)) for span in spans], False, source.digest())
+    takes = [Take(partial(load, span)) for span in spans]
+    lattice = (int(sensor.gel["rows"]), int(sensor.gel["cols"]))
+    return Takes.split(sensor.rig, lattice, takes, False, source.digest())
 
 
 def _check_size(path: Path, shot: Shot, rig: Rig) -> None:
