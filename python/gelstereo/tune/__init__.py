@@ -10,8 +10,8 @@ from gelstereo.tune.goal import Goal, Outcome, TuneError
 from gelstereo.tune.intervals import Interval
 from gelstereo.tune.measure import Figures, Laboratory
 from gelstereo.tune.result import Check, Tuned
-from gelstereo.tune.rungs import Rung
 from gelstereo.tune.run import conditions_of, laboratory_of, tune
+from gelstereo.tune.rungs import Rung
 from gelstereo.tune.setting import Setting
 from gelstereo.tune.takes import Shot, Take, Takes, recorded_takes, simulated_takes
 

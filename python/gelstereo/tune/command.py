@@ -72,7 +72,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar=("DEG", "MM"),
         help="largest error of guesses from which it must succeed (5 1)",
     )
-    add_guess(part)
+    add_guess(parser)
     parser.add_argument("--takes", type=_takes, default=12, metavar="N", help=_TAKES_HELP)
     parser.add_argument(
         "--output", type=Path, default=Path("tuned.toml"), metavar="FILE", help="settings (%(default)s)"

@@ -1,4 +1,4 @@
-"""The part in a take's frames: where it truly is, which of its directions the contact determines, and guesses."""
+"""The part in a take's frames: its true pose, which directions the contact determines, and guesses."""
 
 from __future__ import annotations
 

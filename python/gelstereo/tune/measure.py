@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
 
 import numpy as np
@@ -100,7 +100,7 @@ class Laboratory:
         reference: Setting,
         part: Part | None,
         store: Store,
-        clock: Callable[[], int] = time.perf_counter_ns,
+        clock: Callable[[], int] = time.thread_time_ns,
     ) -> None:
         self.base, self.part, self.is_simulated = base, part, takes.is_simulated
         self._rig, self._store, self._clock = takes.rig, store, clock
@@ -152,15 +152,14 @@ class Laboratory:
         sensed = self._sense(prepared.take, list(dict.fromkeys(each.sensing for each in settings)), kept)
         registered = [setting for setting in settings if setting.register is not None]
         located = self._locate(contacts, registered, {key: run.frames for key, run in sensed.items()})
-        return {
-            setting: Figures(
-                float(np.median(run.times_ns)) * _MS_PER_NS if run.times_ns else math.inf,
-                run.height_um2(self.is_simulated),
-                **(located[setting].summary() if setting in located and contacts else {}),
-            )
-            for setting in settings
-            for run in [sensed[setting.sensing]]
-        }
+        found = {}
+        for setting in settings:
+            run = sensed[setting.sensing]
+            sense_ms = float(np.median(run.times_ns)) * _MS_PER_NS if run.times_ns else math.inf
+            figures = Figures(sense_ms, run.height_um2(self.is_simulated))
+            is_located = setting in located and bool(contacts)
+            found[setting] = located[setting].added_to(figures) if is_located else figures
+        return found
 
     def _sense(self, take: Take, settings: Sequence[Setting], kept: set[int]) -> dict[Setting, _Sensed]:
         pipelines = {each: Pipeline(self._rig, each.params(self.base)) for each in settings}
@@ -289,14 +288,15 @@ class _Located:
         if taken_ns is not None:
             self._times_ns.append(taken_ns)
 
-    def summary(self) -> dict[str, float | int]:
+    def added_to(self, figures: Figures) -> Figures:
         times_ns = self._times_ns
-        return {
-            "locate_ms": float(np.median(times_ns)) * _MS_PER_NS if times_ns else math.inf,
-            "pose_um2": _UM_PER_MM**2 * float(np.mean(self._squared_mm2)),
-            "successes": self._successes,
-            "trials": len(self._squared_mm2),
-        }
+        return replace(
+            figures,
+            locate_ms=float(np.median(times_ns)) * _MS_PER_NS if times_ns else math.inf,
+            pose_um2=_UM_PER_MM**2 * float(np.mean(self._squared_mm2)),
+            successes=self._successes,
+            trials=len(self._squared_mm2),
+        )
 
 
 def _turned(settings: Sequence[Setting], turn: int) -> Sequence[Setting]:

@@ -1,8 +1,8 @@
 """Time and error of all settings, predicted from one measurement of each rung.
 
-Times add over the stages. The squared depth errors that detection and triangulation add to those of the base
-add, too. Registration receives the points with their covariance: its squared error is that measured at the
-base, of which a measured share scales with the squared depth error. Contact hands on a patch as well, which no
+Times add over the stages. So do the squared depth errors that detection and triangulation add to those of the
+base. Registration receives the points with their covariance: its squared error is that measured at the base,
+of which a measured share scales with the squared depth error. Contact also hands on a patch, which no
 covariance describes, so contact and registration are measured together.
 """
 
@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 from gelstereo.tune.front import front
 from gelstereo.tune.goal import Goal, Outcome, TuneError
@@ -119,11 +120,14 @@ class _Predictor:
 
     def stages(self) -> list[list[tuple[Rung, ...]]]:
         """Options of each independent stage."""
-        detect, points = ([(rung,) for rung in rungs_of(stage)] for stage in ("detect", "points"))
-        if not self._register:
-            return [detect, points, [(self._base.contact,)]]
-        grasps = [(contact, register) for contact in rungs_of("contact") for register in rungs_of("register")]
-        return [detect, points, grasps]
+        alone: dict[str, list[tuple[Rung, ...]]] = {
+            "detect": [(rung,) for rung in rungs_of("detect")],
+            "points": [(rung,) for rung in rungs_of("points")],
+        }
+        last: list[tuple[Rung, ...]] = [(self._base.contact,)]
+        if self._register:
+            last = list(product(rungs_of("contact"), rungs_of("register")))
+        return [alone["detect"], alone["points"], last]
 
     def add(self, state: _Estimate, option: tuple[Rung, ...]) -> _Estimate:
         base = self._base.sensing

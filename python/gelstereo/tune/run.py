@@ -53,7 +53,7 @@ def laboratory_of(
     *,
     cache: Path | None = None,
     measure_again: bool = False,
-    clock: Callable[[], int] = time.perf_counter_ns,
+    clock: Callable[[], int] = time.thread_time_ns,
 ) -> Laboratory:
     """Measurements of settings on this computer.
 
