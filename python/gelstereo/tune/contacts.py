@@ -17,8 +17,9 @@ __all__ = ["Contact", "Part", "contacts_of"]
 
 Floats = npt.NDArray[np.float64]
 
-#: A patch with fewer markers is hardly a contact: six unknowns need twice as many heights.
-_MIN_SALIENT = 12
+#: A smaller patch is hardly a contact. Six unknowns need twice as many heights, and a normal needs three rows
+#: and columns.
+_MIN_SALIENT, _MIN_ROWS = 12, 3
 #: Contacts of a take, evenly over its frames, and guesses for each. Range tried: none; more give a success
 #: rate with a smaller interval, and take as much longer.
 _CONTACTS, _GUESSES = 6, 4
@@ -120,11 +121,7 @@ def contacts_of(
     tuple of Contact
         Empty if the part touches nothing, or could not be found.
     """
-    touched = [
-        index
-        for index, frame in enumerate(frames)
-        if index >= WARM_UP and int(np.count_nonzero(frame.salient)) >= _MIN_SALIENT
-    ]
+    touched = [index for index, frame in enumerate(frames) if index >= WARM_UP and _touches(frame)]
     count = min(_CONTACTS, len(touched))
     found = []
     expected = part.guess
@@ -139,6 +136,12 @@ def contacts_of(
         if contact.directions.size:
             found.append(contact)
     return tuple(found)
+
+
+def _touches(frame: Frame) -> bool:
+    salient = frame.salient.reshape(frame.rows, frame.cols)
+    rows, cols = (np.count_nonzero(salient.any(axis=axis)) for axis in (1, 0))
+    return bool(np.count_nonzero(salient) >= _MIN_SALIENT and min(rows, cols) >= _MIN_ROWS)
 
 
 def _found(frame: Frame, part: Part, params: Params, expected: Floats | None) -> Floats | None:

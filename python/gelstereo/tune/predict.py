@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 
+from gelstereo._native import Params
 from gelstereo.tune.front import front
 from gelstereo.tune.goal import Goal, Outcome, TuneError
 from gelstereo.tune.measure import Figures, outcome_of
@@ -21,24 +22,25 @@ from gelstereo.tune.setting import Setting
 
 __all__ = ["base_setting", "nearest_to", "predicted_front", "reference_setting", "settings_to_measure"]
 
-#: Rungs of the preset balanced that each other rung is measured beside, and the most accurate ones. Contact
-#: has no rung that is the best for every gel; that of the presets needs no law of the gel.
-_BASE = {"detect": "fit, windows", "points": "rays", "contact": "adaptive"}
-_REFERENCE = _BASE | {"detect": "fine fit, whole images", "points": "rays, disc bias"}
+#: Rungs that each other one is measured beside.
+_BASE = {"detect": "fit, windows", "points": "rays"}
+#: The most accurate rungs.
+_REFERENCE = {"detect": "fine fit, whole images", "points": "rays, disc bias"}
 
 
-def base_setting(register: bool) -> Setting:
-    """The setting of which one stage at a time is changed."""
-    return _setting(_BASE, register)
+def base_setting(params: Params, register: bool) -> Setting:
+    """The setting of which one stage at a time is changed; contact is found as `params` state."""
+    return _setting(_BASE, params, register)
 
 
-def reference_setting(register: bool) -> Setting:
-    """The most accurate setting."""
-    return _setting(_REFERENCE, register)
+def reference_setting(params: Params, register: bool) -> Setting:
+    """The most accurate setting; contact is found as `params` state, as no rule is the best for every gel."""
+    return _setting(_REFERENCE, params, register)
 
 
-def _setting(names: Mapping[str, str], register: bool) -> Setting:
+def _setting(names: Mapping[str, str], params: Params, register: bool) -> Setting:
     """Rungs by name; registration with the largest budget."""
+    names = {**names, "contact": params.to_dict()["contact"]["saliency"]}
     detect, points, contact = (
         next(rung for rung in rungs_of(stage) if rung.name == names[stage])
         for stage in ("detect", "points", "contact")
@@ -46,17 +48,16 @@ def _setting(names: Mapping[str, str], register: bool) -> Setting:
     return Setting(detect, points, contact, rungs_of("register")[-1] if register else None)
 
 
-def settings_to_measure(register: bool) -> list[Setting]:
+def settings_to_measure(base: Setting) -> list[Setting]:
     """Every rung once: detection and triangulation beside the base, contact together with registration.
 
     With registration, the base is also registered from the noisiest centres, for the share of the pose error
     that follows the points.
     """
-    base = base_setting(register)
     sensing = base.sensing
     found = [Setting(rung, sensing.points, sensing.contact) for rung in rungs_of("detect")]
     found += [Setting(sensing.detect, rung, sensing.contact) for rung in rungs_of("points")]
-    if register:
+    if base.register is not None:
         found += [
             Setting(sensing.detect, sensing.points, contact, rung)
             for contact in rungs_of("contact")
@@ -95,17 +96,16 @@ class _Estimate:
 class _Predictor:
     """Effects of rungs, from the figures of `settings_to_measure`."""
 
-    def __init__(self, figures: Mapping[Setting, Sequence[Figures]], register: bool) -> None:
-        self._register = register
+    def __init__(self, figures: Mapping[Setting, Sequence[Figures]], base: Setting) -> None:
+        self._base, self._register = base, base.register is not None
         self._outcomes = {setting: outcome_of(each) for setting, each in figures.items()}
-        self._base = base_setting(register)
         self._sensing = self._outcomes[self._base.sensing]
         if not math.isfinite(self._sensing.height_um):
             raise TuneError(
                 "the frames cannot be sensed with the usual settings; `gelstereo inspect` states what an "
                 "image shows, and `gelstereo setup` finds settings for it"
             )
-        self._share = self._pose_share() if register else 0.0
+        self._share = self._pose_share() if self._register else 0.0
 
     def _pose_share(self) -> float:
         """Share of the squared pose error that scales with the squared depth error of the points."""
@@ -152,7 +152,7 @@ class _Predictor:
 
 
 def predicted_front(
-    figures: Mapping[Setting, Sequence[Figures]], register: bool
+    figures: Mapping[Setting, Sequence[Figures]], base: Setting
 ) -> list[tuple[Setting, Outcome]]:
     """Settings that no other setting is predicted to dominate, the fastest first.
 
@@ -160,15 +160,15 @@ def predicted_front(
     ----------
     figures
         Of all `settings_to_measure`.
-    register
-        Whether they were measured with registration.
+    base
+        The setting beside which the rungs were measured.
 
     Raises
     ------
     TuneError
         The base could not sense the frames.
     """
-    predictor = _Predictor(figures, register)
+    predictor = _Predictor(figures, base)
     paths = front(predictor.stages(), predictor.start(), predictor.add, _Estimate.measures)
     return [
         (Setting.of(rung for option in options for rung in option), estimate.outcome())

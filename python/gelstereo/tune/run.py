@@ -14,7 +14,13 @@ from gelstereo.tune.contacts import Part
 from gelstereo.tune.goal import Goal, Outcome
 from gelstereo.tune.halving import halve
 from gelstereo.tune.measure import Laboratory, outcome_of
-from gelstereo.tune.predict import nearest_to, predicted_front, reference_setting, settings_to_measure
+from gelstereo.tune.predict import (
+    base_setting,
+    nearest_to,
+    predicted_front,
+    reference_setting,
+    settings_to_measure,
+)
 from gelstereo.tune.result import Tuned
 from gelstereo.tune.setting import Setting
 from gelstereo.tune.takes import Takes
@@ -81,7 +87,7 @@ def laboratory_of(
     """
     base = base or Params.preset("balanced")
     store = Store(cache, conditions_of(takes, base, part), measure_again=measure_again)
-    return Laboratory(takes, base, reference_setting(part is not None), part, store, clock)
+    return Laboratory(takes, base, reference_setting(base, part is not None), part, store, clock)
 
 
 def tune(laboratory: Laboratory, goal: Goal) -> Tuned:
@@ -108,11 +114,12 @@ def tune(laboratory: Laboratory, goal: Goal) -> Tuned:
     TuneError
         The frames cannot be sensed with the usual settings, or the goal needs a part and there is none.
     """
-    register = laboratory.part is not None
-    goal.check(register)
+    has_part = laboratory.part is not None
+    goal.check(has_part)
+    base = base_setting(laboratory.base, has_part)
     takes = min(RUNG_TAKES, laboratory.takes)
-    figures = laboratory.measure(settings_to_measure(register), takes)
-    front = predicted_front(figures, register)
+    figures = laboratory.measure(settings_to_measure(base), takes)
+    front = predicted_front(figures, base)
     candidates = nearest_to(goal, front, CANDIDATES)
 
     def ranks(settings: Sequence[Setting], effort: int) -> list[tuple[float, float]]:

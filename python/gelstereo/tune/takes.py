@@ -123,7 +123,7 @@ def simulated_takes(scene: Scene, count: int, *, sensor: Sensor | None = None) -
     _enough(len(simulators[0]), "the scene", MIN_FRAMES)
     takes = [Take(partial(_simulated, simulator)) for simulator in simulators]
     gel = scene.to_dict()["gel"]
-    return Takes.split(scene.rig, (gel["rows"], gel["cols"]), takes, True, _digest_of_scene(scene))
+    return Takes.split(scene.rig, (gel["rows"], gel["cols"]), takes, True, _digest(scene, simulators[0]))
 
 
 def _simulated(simulator: Simulator) -> list[Shot]:
@@ -144,12 +144,10 @@ def _on_sensor(scene: Scene, sensor: Sensor) -> Scene:
     return scene.replace({"rig": new["rig"], "trajectory": moved, "gel": gel, "effects": effects})
 
 
-def _digest_of_scene(scene: Scene) -> str:
-    found = hashlib.sha256(scene.to_toml().encode())
-    indenter = scene.to_dict().get("indenter") or {}
-    if "path" in indenter:
-        found.update(Path(indenter["path"]).read_bytes())
-    return found.hexdigest()
+def _digest(scene: Scene, simulator: Simulator) -> str:
+    """Of the scene, and of its last frame's markers, which a changed mesh file moves."""
+    markers = simulator[len(simulator) - 1].points_mm
+    return hashlib.sha256(scene.to_toml().encode() + markers.tobytes()).hexdigest()
 
 
 def recorded_takes(path: Path, sensor: Sensor, count: int) -> Takes:
