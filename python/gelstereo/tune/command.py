@@ -16,7 +16,7 @@ from gelstereo.tune.goal import Goal, TuneError
 from gelstereo.tune.run import conditions_of, laboratory_of, tune
 from gelstereo.tune.takes import Takes, recorded_takes, simulated_takes
 
-__all__ = ["EXAMPLES", "add_arguments", "run"]
+__all__ = ["EXAMPLES", "add_arguments", "run", "scene_part"]
 
 EXAMPLES = """examples:
   gelstereo tune --scene scenes/grasp_cylinder.toml --budget-ms 2                  sensing only, within 2 ms
@@ -135,15 +135,21 @@ def _template(arguments: argparse.Namespace) -> Template:
     if arguments.part == _OWN:
         if arguments.scene is None:
             raise TuneError("only a scene has a part of its own; give --part the part's mesh")
-        return _own(arguments.scene)
+        return scene_part(arguments.scene)
     path = Path(arguments.part)
     if path.suffix == ".template":
         return Template.load(path)
     return Template.from_mesh(path, units=arguments.units)
 
 
-def _own(path: Path) -> Template:
-    """The part of a scene."""
+def scene_part(path: Path) -> Template:
+    """Template of a scene's part.
+
+    Raises
+    ------
+    TuneError
+        It has none.
+    """
     shape = Scene.load(path).to_dict().get("indenter")
     if shape is None:
         raise TuneError(f"the scene {path} has no part; add [indenter], or leave out --part")

@@ -106,6 +106,19 @@ class Goal:
             misses.append(0.01 * self.success - (outcome.success or 0.0))
         return max(misses)
 
+    def misses(self, outcome: Outcome) -> list[str]:
+        """Each limit that an outcome misses, in words."""
+        found = []
+        if self.budget_ms is not None and outcome.time_ms > self.budget_ms:
+            found.append(f"time {outcome.time_ms:.4g} ms instead of at most {self.budget_ms:g}")
+        if self.error_um is not None and outcome.error_um > self.error_um:
+            found.append(f"error {outcome.error_um:.4g} um instead of at most {self.error_um:g}")
+        if self.success is not None and 100.0 * (outcome.success or 0.0) < self.success:
+            found.append(
+                f"success {100.0 * (outcome.success or 0.0):.4g} % instead of at least {self.success:g}"
+            )
+        return found
+
     def cost(self, outcome: Outcome) -> float:
         """What is to be small among outcomes that keep the limits: error with a budget alone, else time."""
         wants_accuracy = self.error_um is None and self.success is None

@@ -83,14 +83,9 @@ class Tuned:
         return outcome_of(self.figures)
 
     @property
-    def misses_by(self) -> float:
-        """Largest relative excess over the goal's limits; 0 if it is reached."""
-        return self.goal.excess(self.outcome)
-
-    @property
     def is_reached(self) -> bool:
         """Whether the outcome keeps the goal's limits."""
-        return self.misses_by <= 0.0
+        return self.goal.excess(self.outcome) <= 0.0
 
     @property
     def is_confirmed(self) -> bool:
@@ -125,7 +120,8 @@ class Tuned:
         lines = [f"{rung.stage:<13}{rung.name}" for rung in self.setting.rungs]
         lines += [str(check) for check in self.checks()]
         if not self.is_reached:
-            lines.append(f"no setting reaches {self.goal}; this one misses by {100.0 * self.misses_by:.1f} %")
+            lines.append(f"no setting was found for {self.goal}; this one is nearest:")
+            lines += self.goal.misses(self.outcome)
         if not self.is_confirmed:
             lines.append("held-out frames do not confirm this; measure more takes, on a machine at rest")
         return "\n".join(lines)
