@@ -15,7 +15,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
@@ -151,15 +151,14 @@ LIMIT = st.none() | st.floats(0.1, 10.0)
 def test_an_outcome_keeps_the_limits_or_says_which_it_misses(
     budget_ms: float | None, error_um: float | None, success: float | None, outcome: Outcome
 ) -> None:
-    if (budget_ms, error_um, success) == (None, None, None):
-        return
+    assume((budget_ms, error_um, success) != (None, None, None))
     goal = Goal(budget_ms, error_um, success)
     keeps = (budget_ms is None or outcome.time_ms <= budget_ms) and (
         error_um is None or outcome.error_um <= error_um
     )
     percent = 100.0 * (outcome.success or 0.0)
-    if success is not None and abs(percent - success) < 1e-9:
-        return  # equal up to rounding
+    if success is not None:
+        assume(abs(percent - success) > 1e-6)  # else it depends on rounding
     keeps = keeps and (success is None or percent >= success)
     assert (goal.excess(outcome) == 0.0) == keeps == (goal.misses(outcome) == [])
 
@@ -218,6 +217,10 @@ def test_a_file_of_something_else_is_refused(tmp_path: Path, text: str) -> None:
 # Prediction and search, in a world where the stages are independent
 
 
+def named(setting: Setting) -> list[str]:
+    return [f"{rung.stage}: {rung.name}" for rung in setting.rungs]
+
+
 class World:
     """A laboratory whose figures follow from one number per rung; it counts what is asked for."""
 
@@ -228,23 +231,25 @@ class World:
 
     def __init__(self, seed: int) -> None:
         random = np.random.default_rng(seed)
-        names = {rung: str(rung) for setting in SETTINGS for rung in setting.rungs}.values()
-        self.times = dict(zip(names, random.uniform(0.1, 4.0, len(names)), strict=True))
-        self.errors = dict(zip(names, random.uniform(1.0, 40.0, len(names)), strict=True))
+        self.names = list(dict.fromkeys(name for setting in SETTINGS for name in named(setting)))
+        count = len(self.names)
+        self.times = dict(zip(self.names, random.uniform(0.1, 4.0, count), strict=True))
+        self.errors = dict(zip(self.names, random.uniform(1.0, 40.0, count), strict=True))
+        # The first way to detect is the noisiest one.
+        self.errors[self.names[0]] = 60.0
+        self.failures = dict(zip(self.names, random.integers(0, 40, count), strict=True))
         self.share = float(random.uniform())
-        self.failures = random.uniform(0.0, 0.2, len(names))
         self.asked: set[tuple[Setting, int]] = set()
 
     def figures(self, setting: Setting) -> Figures:
-        names = [str(rung) for rung in setting.rungs]
+        names = named(setting)
         height = self.errors[names[0]] + self.errors[names[1]]
-        base = base_setting(self.base, False)
-        usual = self.errors[str(base.detect)] + self.errors[str(base.points)]
+        usual = sum(self.errors[name] for name in named(base_setting(self.base, False))[:2])
         sense_ms = sum(self.times[name] for name in names[:3])
         if setting.register is None:
             return Figures(sense_ms, height)
         pose = self.errors[names[2]] * self.errors[names[3]]
-        successes = 1000 - sum(map(ord, names[3])) % 40
+        successes = 1000 - int(self.failures[names[3]])
         share = 1.0 - self.share + self.share * height / usual
         return Figures(sense_ms, height, self.times[names[3]], pose * share, successes, 1000)
 
@@ -272,7 +277,7 @@ def test_predictions_are_exact_where_stages_are_independent(seed: int) -> None:
         )
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), data=st.data())
 def test_tuning_finds_the_best_of_all_with_a_tenth_of_the_measurements(
     seed: int, data: st.DataObject
@@ -289,7 +294,7 @@ def test_tuning_finds_the_best_of_all_with_a_tenth_of_the_measurements(
     assert len(world.asked) <= len(SETTINGS) * world.takes // 10
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=5, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_a_goal_out_of_reach_gets_the_nearest_settings_and_says_so(seed: int) -> None:
     world = World(seed)
@@ -425,11 +430,10 @@ def test_a_recording_is_tuned_by_its_covariances(cell: Path) -> None:
     takes = recorded_takes(cell / "press", sensor_of(cell), 12)
     laboratory = laboratory_of(takes, sensor_of(cell).params, clock=Clock())
     truth = laboratory_of(simulated_takes(PEG, 2), clock=Clock())
-    for setting in settings_to_measure(base_setting(laboratory.base, False)):
+    for setting in settings_to_measure(base_setting(laboratory.base, False))[::2]:
         stated = outcome_of(laboratory.measure([setting], 2)[setting])
         true = outcome_of(truth.measure([setting], 1)[setting])
-        # Marker depths move with the part between frames, so that the bound from still frames may be larger.
-        assert 0.7 * true.height_um < stated.height_um < 2.0 * true.height_um
+        assert 0.7 * true.height_um < stated.height_um < 1.4 * true.height_um
 
 
 def test_the_part_of_a_recording_is_found_from_a_guess(cell: Path, peg: Part) -> None:

@@ -37,12 +37,15 @@ from gelstereo_bench.frontier.speed import (
 from gelstereo_bench.frontier.table import Report, Table, Target
 from gelstereo_bench.frontier.timing import InstructionCounter
 from gelstereo_bench.frontier.tracking import measure_tracking
+from gelstereo_bench.frontier.tuning import SCENES, measure_tuning
+from gelstereo_bench.reports.markdown import replace_between, table
 
 __all__ = ["EXAMPLES", "add_arguments", "run"]
 
 EXAMPLES = """examples:
   gelstereo frontier                     measure everything and write docs/accuracy-vs-time.md (minutes)
   gelstereo frontier localization        registration beside other libraries: docs/localization.md
+  gelstereo frontier tuning              the tuner beside exhaustive search and Optuna: docs/tuning.md
   gelstereo frontier --quick --docs out  a few rounds, to see that all methods run
 """
 
@@ -50,7 +53,11 @@ EXAMPLES = """examples:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument(
-        "topic", nargs="?", choices=("sensing", "localization"), default="sensing", help="what is measured"
+        "topic",
+        nargs="?",
+        choices=("sensing", "localization", "tuning"),
+        default="sensing",
+        help="what is measured",
     )
     parser.add_argument("--docs", type=Path, default=Path("docs"), help="folder with the pages")
     parser.add_argument("--quick", action="store_true", help="few rounds and starts: figures mean little")
@@ -73,6 +80,8 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         if arguments.topic == "localization":
             return _localization(arguments, rounds, starts)
+        if arguments.topic == "tuning":
+            return _tuning(arguments.docs / "tuning.md", arguments.quick)
         return _sensing(arguments, rounds, starts)
     finally:
         cv2.setNumThreads(threads)
@@ -102,6 +111,14 @@ def _localization(arguments: argparse.Namespace, rounds: int, starts: int) -> in
     )
     write_page(page, tables, targets, rounds, said)
     return _done(page, targets)
+
+
+def _tuning(page: Path, is_quick: bool) -> int:
+    check_page(page, ["tuning"])
+    found = measure_tuning(_report, SCENES[:1] if is_quick else SCENES, seeds=2 if is_quick else 10)
+    replace_between(page, found.name, table(found.head, found.rows))
+    print(f"wrote {page}")
+    return 0
 
 
 def _done(page: Path, targets: Sequence[Target]) -> int:

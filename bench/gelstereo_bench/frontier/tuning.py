@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from gelstereo import Params, Scene
+from gelstereo.extras import needs
 from gelstereo.simulation import shipped_scene
 from gelstereo.tune import (
     Figures,
@@ -37,8 +38,6 @@ __all__ = ["SCENES", "Measured", "measure_tuning"]
 SCENES = (("grasp_cylinder", 1), ("grasp_cylinder", 101), ("usb_plug", 1), ("usb_plug", 101))
 #: Takes of a scene: every third is held out, so the table has four.
 _TAKES = 6
-#: Runs of Optuna for each goal.
-_SEEDS = range(10)
 #: Evaluations after which Optuna stops; there are 324 settings.
 _MAX_TRIALS = 648
 
@@ -163,7 +162,8 @@ class Search:
     """One study of Optuna: its next setting, and the outcome of it."""
 
     def __init__(self, goal: Goal, seed: int, is_genetic: bool) -> None:
-        import optuna
+        with needs(__name__):
+            import optuna
 
         optuna.logging.set_verbosity(optuna.logging.ERROR)
 
@@ -201,11 +201,28 @@ class Search:
         self._study.tell(self._trial, values)
 
 
-def measure_tuning(report: Report, cache: Path | None = None) -> Table:
-    """Regret and cost of the tuner and of Optuna, over scenes and goals."""
+def measure_tuning(
+    report: Report,
+    scenes: Sequence[tuple[str, int]] = SCENES,
+    seeds: int = 10,
+    cache: Path | None = None,
+) -> Table:
+    """Regret and cost of the tuner and of Optuna, over scenes and goals.
+
+    Parameters
+    ----------
+    report
+        Receives what is measured at present.
+    scenes
+        Names, and first seeds of their takes.
+    seeds
+        Runs of Optuna for each goal.
+    cache
+        Folder of kept measurements. Default: none.
+    """
     runs: dict[str, list[Run]] = {"gelstereo.tune": [], "Optuna, TPE": [], "Optuna, NSGA-II": []}
     ratios: dict[str, list[float]] = {name: [] for name in runs}
-    for name, seed in SCENES:
+    for name, seed in scenes:
         report(f"tuning: all settings on {name}, seed {seed}")
         table = measured(name, seed, cache)
         for goal in table.goals():
@@ -213,7 +230,7 @@ def measure_tuning(report: Report, cache: Path | None = None) -> Table:
             own = tuned(table, goal)
             runs["gelstereo.tune"].append(own)
             for label, is_genetic in (("Optuna, TPE", False), ("Optuna, NSGA-II", True)):
-                for again in _SEEDS:
+                for again in range(seeds):
                     ask = lambda goal, seed, genetic=is_genetic: Search(goal, seed, genetic)  # noqa: E731
                     found = searched(table, goal, ask, again, own.regret)
                     runs[label].append(found)

@@ -97,27 +97,26 @@ class Goal:
 
         A success of 0.98 where 0.99 is wanted misses by 0.01.
         """
-        misses = [0.0]
-        if self.budget_ms is not None:
-            misses.append(outcome.time_ms / self.budget_ms - 1.0)
-        if self.error_um is not None:
-            misses.append(outcome.error_um / self.error_um - 1.0)
-        if self.success is not None:
-            misses.append(0.01 * self.success - (outcome.success or 0.0))
-        return max(misses)
+        return max((excess for excess, _ in self._missed(outcome)), default=0.0)
 
     def misses(self, outcome: Outcome) -> list[str]:
         """Each limit that an outcome misses, in words."""
+        return [text for _, text in self._missed(outcome)]
+
+    def _missed(self, outcome: Outcome) -> list[tuple[float, str]]:
         found = []
-        if self.budget_ms is not None and outcome.time_ms > self.budget_ms:
-            found.append(f"time {outcome.time_ms:.4g} ms instead of at most {self.budget_ms:g}")
-        if self.error_um is not None and outcome.error_um > self.error_um:
-            found.append(f"error {outcome.error_um:.4g} um instead of at most {self.error_um:g}")
-        if self.success is not None and 100.0 * (outcome.success or 0.0) < self.success:
-            found.append(
-                f"success {100.0 * (outcome.success or 0.0):.4g} % instead of at least {self.success:g}"
-            )
-        return found
+        if self.budget_ms is not None:
+            text = f"time {outcome.time_ms:.4g} ms instead of at most {self.budget_ms:g}"
+            found.append((outcome.time_ms / self.budget_ms - 1.0, text))
+        if self.error_um is not None:
+            text = f"error {outcome.error_um:.4g} um instead of at most {self.error_um:g}"
+            found.append((outcome.error_um / self.error_um - 1.0, text))
+        if self.success is not None:
+            share = outcome.success or 0.0
+            text = f"success {100.0 * share:.4g} % instead of at least {self.success:g}"
+            found.append((0.01 * self.success - share, text))
+        # Rounding is no miss.
+        return [miss for miss in found if miss[0] > 1e-9]
 
     def cost(self, outcome: Outcome) -> float:
         """What is to be small among outcomes that keep the limits: error with a budget alone, else time."""

@@ -24,6 +24,8 @@ __all__ = ["Figures", "Laboratory", "outcome_of"]
 
 Floats = npt.NDArray[np.float64]
 
+#: Standard deviation over the median absolute deviation, of normal errors.
+_SIGMA_OF_MEDIAN = 1.4826
 _UM_PER_MM = 1e3
 _MS_PER_NS = 1e-6
 
@@ -236,36 +238,48 @@ class _Sensed:
         self.has_failed = False
         self._truth: npt.NDArray[np.int64] | None = None
         self._squared_mm2: list[float] = []
-        self._still_mm2: list[float] = []
-        self._before: Frame | None = None
+        self._scatter_mm2: list[float] = []
+        self._last_mm: list[Floats] = []
 
     def add(self, index: int, shot: Shot, frame: Frame, taken_ns: int) -> None:
         if index >= WARM_UP:
             self.times_ns.append(taken_ns)
         seen = frame.state == MarkerState.SEEN
+        if not seen.any():
+            self.has_failed = True
+            return
         z_mm = frame.points_mm[:, 2]
         if shot.points_mm is None:
             self._squared_mm2.append(float(np.mean(frame.covariance_mm2[seen, 2, 2])))
-            if self._before is not None:
-                both = seen & (self._before.state == MarkerState.SEEN)
-                moved_mm = (z_mm - self._before.points_mm[:, 2])[both]
-                self._still_mm2.append(0.5 * float(np.mean(moved_mm**2)))
-            self._before = frame
+            self._add_scatter(np.where(seen, z_mm, np.nan))
             return
         if self._truth is None:
             self._truth = _matched(frame, shot.points_mm)
         known = seen & (self._truth >= 0)
         off_mm = z_mm[known] - shot.points_mm[self._truth[known], 2]
-        self._squared_mm2.append(float(np.mean(off_mm**2)))
+        if off_mm.size:
+            self._squared_mm2.append(float(np.mean(off_mm**2)))
+
+    def _add_scatter(self, z_mm: Floats) -> None:
+        """Scatter of depths over three frames: constant motion cancels in second differences."""
+        self._last_mm = [*self._last_mm[-2:], z_mm]
+        if len(self._last_mm) == 3:
+            a, b, c = self._last_mm
+            # The median is that of markers beside the contact, which move smoothly if at all. Six is the sum
+            # of the squared weights.
+            bent_mm = np.abs(a - 2.0 * b + c)
+            bent_mm = bent_mm[np.isfinite(bent_mm)]
+            if bent_mm.size:
+                self._scatter_mm2.append((_SIGMA_OF_MEDIAN * float(np.median(bent_mm))) ** 2 / 6.0)
 
     def height_um2(self, is_simulated: bool) -> float:
-        """From the truth; else the stated variance, or that between still frames if it is larger."""
+        """From the truth; else the stated variance, or the scatter between frames if it is larger."""
         if self.has_failed or not self._squared_mm2:
             return math.inf
         mm2 = float(np.mean(self._squared_mm2))
-        if not is_simulated and self._still_mm2:
-            # The part moves between most frames; a quarter of them counts as still.
-            mm2 = max(mm2, float(np.quantile(self._still_mm2, 0.25)))
+        if not is_simulated and self._scatter_mm2:
+            # The part may move between most frames; a quarter of them counts as smooth.
+            mm2 = max(mm2, float(np.quantile(self._scatter_mm2, 0.25)))
         return _UM_PER_MM**2 * mm2
 
 

@@ -64,8 +64,8 @@ class Tuned:
     front : tuple of (Setting, Outcome)
         Predicted: settings that no other one dominates.
     is_simulated : bool
-        Whether errors are against the truth. Otherwise they are what covariances, still frames and the
-        distance from the best answer state.
+        Whether errors are against the truth. Otherwise they are what covariances, the scatter between frames
+        and the distance from the best answer state.
     """
 
     goal: Goal
@@ -134,11 +134,9 @@ class Tuned:
         conditions
             Machine, image size, print and version of the measurements.
         """
-        source = (
-            "against the simulator's truth"
-            if self.is_simulated
-            else ("as covariances, still frames and the distance from the best answer state")
-        )
+        source = "against the simulator's truth"
+        if not self.is_simulated:
+            source = "as covariances, the scatter between frames and the distance from the best answer state"
         head = ["Written by `gelstereo tune`.", f"goal: {self.goal}", *str(self).splitlines()]
         head += [f"errors: {source}", f"takes: {len(self.figures)} to tune on, {len(self.held_out)} held out"]
         head.append("in brackets: where one more take, or the success rate, lies in 95 of 100 cases")
