@@ -67,21 +67,17 @@ class Measured:
         return sum(sensed.values()) + located_ms
 
     def goals(self) -> list[Goal]:
-        """Budgets and errors that are quartiles of the front, and a success rate."""
+        """Budgets and errors between the ends of the front, and a success rate."""
         outcomes = [self.outcome(setting) for setting in self.figures if setting.register]
-        front = [
-            each
-            for each in outcomes
-            if not any(other.time_ms < each.time_ms and other.error_um < each.error_um for other in outcomes)
-        ]
-        levels = (0.25, 0.5, 0.75)
-        budgets = np.quantile([each.time_ms for each in front], levels)
-        errors = np.quantile([each.error_um for each in front], levels)
+        fastest, best = (min(outcomes, key=key) for key in (_time_ms, _error_um))
+        levels = np.array([0.2, 0.5, 0.8])
+        budgets = _time_ms(fastest) * (_time_ms(best) / _time_ms(fastest)) ** levels
+        errors = _error_um(best) * (_error_um(fastest) / _error_um(best)) ** levels
         found = [Goal(budget_ms=float(budget)) for budget in budgets]
         return [*found, *(Goal(error_um=float(error)) for error in errors), Goal(success=99.0)]
 
     def regret(self, goal: Goal, setting: Setting) -> float:
-        """Relative excess over the goal's limits, or over the best cost that keeps them, whichever is more."""
+        """Relative excess over the goal's limits, or over the best cost within them, whichever is more."""
         outcome = self.outcome(setting)
         every = [self.outcome(each) for each in self.figures if each.register]
         best = min(every, key=goal.rank)
@@ -239,9 +235,9 @@ def measure_tuning(
     rows = [
         ["exhaustive search", "0", "0", "100", _ratio([1.0 / run.share for run in runs["gelstereo.tune"]])]
     ]
-    for name, found in runs.items():
-        regrets = [100.0 * run.regret for run in found]
-        shares = [100.0 * run.share for run in found]
+    for name, every in runs.items():
+        regrets = [100.0 * run.regret for run in every]
+        shares = [100.0 * run.share for run in every]
         rows.append(
             [
                 name,
@@ -252,6 +248,14 @@ def measure_tuning(
             ]
         )
     return Table("tuning", head, rows)
+
+
+def _time_ms(outcome: Outcome) -> float:
+    return outcome.time_ms
+
+
+def _error_um(outcome: Outcome) -> float:
+    return outcome.error_um
 
 
 def _ratio(values: Sequence[float]) -> str:

@@ -17,14 +17,16 @@ State = TypeVar("State")
 Option = TypeVar("Option")
 
 
-def undominated(measures: Sequence[tuple[float, ...]]) -> list[int]:
+def undominated(measures: Sequence[tuple[float, ...]], margin: float = 0.0) -> list[int]:
     """Indices of the points that no other point dominates: none is at least as good in every measure.
 
     Parameters
     ----------
     measures
-        Points; smaller is better. Of equal points, only the first is kept. A point with a measure that is not
-        finite is never kept.
+        Points; smaller is better. A point with a measure that is not finite is never kept.
+    margin
+        By how much a point must be better in the first measure to dominate. With 0, only the first of equal
+        points is kept.
 
     Returns
     -------
@@ -37,9 +39,13 @@ def undominated(measures: Sequence[tuple[float, ...]]) -> list[int]:
     )
     kept: list[int] = []
     for index in order:
-        # A point that dominates this one precedes it in lexicographic order.
+        # A point that dominates this one precedes it in lexicographic order, and so does one that dominates
+        # that point: the kept ones suffice.
+        least, *rest = measures[index]
         if not any(
-            all(a <= b for a, b in zip(measures[other], measures[index], strict=True)) for other in kept
+            measures[other][0] + margin <= least
+            and all(a <= b for a, b in zip(measures[other][1:], rest, strict=True))
+            for other in kept
         ):
             kept.append(index)
     return kept
@@ -50,6 +56,7 @@ def front(
     start: State,
     add: Callable[[State, Option], State],
     measures: Callable[[State], tuple[float, ...]],
+    margin: float = 0.0,
 ) -> list[tuple[tuple[Option, ...], State]]:
     """Choices of one option per stage that no other choice dominates.
 
@@ -61,9 +68,11 @@ def front(
         State before the first stage.
     add
         State after an option. It must be monotone: if one state is at least as good as another in every
-        measure, it stays so after any option.
+        measure, it stays so after any option. With a margin, options must add to the first measure.
     measures
         Of a state; smaller is better.
+    margin
+        As in `undominated`.
 
     Returns
     -------
@@ -73,5 +82,5 @@ def front(
     paths: list[tuple[tuple[Option, ...], State]] = [((), start)]
     for options in stages:
         grown = [((*path, option), add(state, option)) for path, state in paths for option in options]
-        paths = [grown[index] for index in undominated([measures(state) for _, state in grown])]
+        paths = [grown[index] for index in undominated([measures(state) for _, state in grown], margin)]
     return paths

@@ -13,46 +13,48 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 
+import numpy as np
+
 from gelstereo._native import Params
 from gelstereo.tune.front import front
-from gelstereo.tune.goal import Goal, Outcome, TuneError
+from gelstereo.tune.goal import Goal, Outcome
 from gelstereo.tune.measure import Figures, outcome_of
-from gelstereo.tune.rungs import Rung, rungs_of
+from gelstereo.tune.rungs import RUNGS, Rung, rungs_of
 from gelstereo.tune.setting import Setting
 
-__all__ = ["base_setting", "nearest_to", "predicted_front", "reference_setting", "settings_to_measure"]
+__all__ = ["base_settings", "nearest_to", "predicted_front", "reference_setting", "settings_to_measure"]
 
-#: Rungs that each other one is measured beside.
-_BASE = {"detect": "fit, windows", "points": "rays"}
+#: Triangulation beside which each other rung is measured.
+_POINTS = "rays"
 #: The most accurate rungs.
-_REFERENCE = {"detect": "fine fit, whole images", "points": "rays, disc bias"}
+_REFERENCE = ("fine fit, whole images", "rays, disc bias")
 
 
-def base_setting(params: Params, register: bool) -> Setting:
-    """The setting of which one stage at a time is changed; contact is found as `params` state."""
-    return _setting(_BASE, params, register)
+def base_settings(params: Params, register: bool) -> list[Setting]:
+    """Settings of which one stage at a time is changed: the fastest detection that can sense is the base.
+
+    Beside a fast base, small times do not drown in the scatter of a large one. Contact is found as `params`
+    state, and registration has the largest budget.
+    """
+    return [_setting(rung.name, _POINTS, params, register) for rung in rungs_of("detect")]
 
 
 def reference_setting(params: Params, register: bool) -> Setting:
     """The most accurate setting; contact is found as `params` state, as no rule is the best for every gel."""
-    return _setting(_REFERENCE, params, register)
+    return _setting(*_REFERENCE, params, register)
 
 
-def _setting(names: Mapping[str, str], params: Params, register: bool) -> Setting:
-    """Rungs by name; registration with the largest budget."""
-    names = {**names, "contact": params.to_dict()["contact"]["saliency"]}
-    detect, points, contact = (
-        next(rung for rung in rungs_of(stage) if rung.name == names[stage])
-        for stage in ("detect", "points", "contact")
-    )
-    return Setting(detect, points, contact, rungs_of("register")[-1] if register else None)
+def _setting(detect: str, points: str, params: Params, register: bool) -> Setting:
+    names = {"detect": detect, "points": points, "contact": params.to_dict()["contact"]["saliency"]}
+    rungs = [next(rung for rung in RUNGS if (rung.stage, rung.name) == item) for item in names.items()]
+    return Setting.of([*rungs, *rungs_of("register")[-1:]] if register else rungs)
 
 
 def settings_to_measure(base: Setting) -> list[Setting]:
     """Every rung once: detection and triangulation beside the base, contact together with registration.
 
-    With registration, the base is also registered from the noisiest centres, for the share of the pose error
-    that follows the points.
+    With registration, the base is also registered from other centres, for the share of the pose error that
+    follows the points.
     """
     sensing = base.sensing
     found = [Setting(rung, sensing.points, sensing.contact) for rung in rungs_of("detect")]
@@ -63,12 +65,16 @@ def settings_to_measure(base: Setting) -> list[Setting]:
             for contact in rungs_of("contact")
             for rung in rungs_of("register")
         ]
-        found.append(_noisy(base))
+        found.append(_other_centres(base))
     return list(dict.fromkeys(found))
 
 
-def _noisy(base: Setting) -> Setting:
-    return Setting(rungs_of("detect")[0], base.points, base.contact, base.register)
+def _other_centres(base: Setting) -> Setting:
+    """The base with the centres of the next more accurate kind."""
+    kinds = rungs_of("detect")
+    centre = base.detect.settings["detect.centre"]
+    other = next((rung for rung in kinds if rung.settings["detect.centre"] != centre), kinds[-1])
+    return Setting(other, base.points, base.contact, base.register)
 
 
 @dataclass(frozen=True)
@@ -100,20 +106,15 @@ class _Predictor:
         self._base, self._register = base, base.register is not None
         self._outcomes = {setting: outcome_of(each) for setting, each in figures.items()}
         self._sensing = self._outcomes[self._base.sensing]
-        if not math.isfinite(self._sensing.height_um):
-            raise TuneError(
-                "the frames cannot be sensed with the usual settings; `gelstereo inspect` states what an "
-                "image shows, and `gelstereo setup` finds settings for it"
-            )
         self._share = self._pose_share() if self._register else 0.0
 
     def _pose_share(self) -> float:
         """Share of the squared pose error that scales with the squared depth error of the points."""
-        quiet, noisy = self._outcomes[self._base], self._outcomes[_noisy(self._base)]
-        more = (noisy.height_um / quiet.height_um) ** 2 - 1.0
-        if not (more > 0.0 and math.isfinite(more) and quiet.error_um > 0.0):
+        base, other = self._outcomes[self._base], self._outcomes[_other_centres(self._base)]
+        more = (other.height_um / base.height_um) ** 2 - 1.0
+        if not (math.isfinite(more) and abs(more) > 0.0 and base.error_um > 0.0):
             return 1.0
-        return min(max(((noisy.error_um / quiet.error_um) ** 2 - 1.0) / more, 0.0), 1.0)
+        return min(max(((other.error_um / base.error_um) ** 2 - 1.0) / more, 0.0), 1.0)
 
     def start(self) -> _Estimate:
         return _Estimate(self._sensing.time_ms, self._sensing.height_um**2)
@@ -156,24 +157,36 @@ def predicted_front(
 ) -> list[tuple[Setting, Outcome]]:
     """Settings that no other setting is predicted to dominate, the fastest first.
 
+    Times that differ by less than they scatter from take to take count as equal.
+
     Parameters
     ----------
     figures
         Of all `settings_to_measure`.
     base
         The setting beside which the rungs were measured.
-
-    Raises
-    ------
-    TuneError
-        The base could not sense the frames.
     """
     predictor = _Predictor(figures, base)
-    paths = front(predictor.stages(), predictor.start(), predictor.add, _Estimate.measures)
+    paths = front(
+        predictor.stages(), predictor.start(), predictor.add, _Estimate.measures, _time_scatter_ms(figures)
+    )
     return [
         (Setting.of(rung for option in options for rung in option), estimate.outcome())
         for options, estimate in paths
     ]
+
+
+def _time_scatter_ms(figures: Mapping[Setting, Sequence[Figures]]) -> float:
+    """Two standard errors (95 %) of the difference of two settings' times, pooled over all settings."""
+    times = np.array([[outcome_of([take]).time_ms for take in takes] for takes in figures.values()])
+    times = times[np.isfinite(times).all(axis=1)]
+    settings, takes = times.shape
+    if takes < 2 or settings < 2:
+        return 0.0
+    # A take that is slower for all settings does not change their order.
+    left = times - times.mean(axis=1, keepdims=True) - times.mean(axis=0) + times.mean()
+    variance = float(np.sum(left**2)) / ((settings - 1) * (takes - 1))
+    return 2.0 * math.sqrt(2.0 * variance / takes)
 
 
 def nearest_to(goal: Goal, points: Sequence[tuple[Setting, Outcome]], count: int) -> list[Setting]:

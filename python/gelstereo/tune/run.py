@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import os
 import time
 from collections.abc import Callable, Sequence
@@ -11,11 +12,11 @@ from pathlib import Path
 from gelstereo._native import Params, __version__
 from gelstereo.tune.cache import Conditions, Store, processor
 from gelstereo.tune.contacts import Part
-from gelstereo.tune.goal import Goal, Outcome
+from gelstereo.tune.goal import Goal, Outcome, TuneError
 from gelstereo.tune.halving import halve
 from gelstereo.tune.measure import Laboratory, outcome_of
 from gelstereo.tune.predict import (
-    base_setting,
+    base_settings,
     nearest_to,
     predicted_front,
     reference_setting,
@@ -116,10 +117,8 @@ def tune(laboratory: Laboratory, goal: Goal) -> Tuned:
     """
     has_part = laboratory.part is not None
     goal.check(has_part)
-    base = base_setting(laboratory.base, has_part)
     takes = min(RUNG_TAKES, laboratory.takes)
-    figures = laboratory.measure(settings_to_measure(base), takes)
-    front = predicted_front(figures, base)
+    front = _front(laboratory, takes)
     candidates = nearest_to(goal, front, CANDIDATES)
 
     def ranks(settings: Sequence[Setting], effort: int) -> list[tuple[float, float]]:
@@ -138,6 +137,17 @@ def tune(laboratory: Laboratory, goal: Goal) -> Tuned:
         held_out=tuple(laboratory.check(best)),
         front=tuple(front),
         is_simulated=laboratory.is_simulated,
+    )
+
+
+def _front(laboratory: Laboratory, takes: int) -> list[tuple[Setting, Outcome]]:
+    for base in base_settings(laboratory.base, laboratory.part is not None):
+        figures = laboratory.measure(settings_to_measure(base), takes)
+        if math.isfinite(outcome_of(figures[base.sensing]).height_um):
+            return predicted_front(figures, base)
+    raise TuneError(
+        "no way of detection can sense all frames; `gelstereo inspect` states what an image shows, and "
+        "`gelstereo setup` finds settings for it"
     )
 
 
