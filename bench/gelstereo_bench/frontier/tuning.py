@@ -36,8 +36,8 @@ __all__ = ["SCENES", "Measured", "measure_tuning"]
 
 #: Scenes, and first seeds of their takes.
 SCENES = (("grasp_cylinder", 1), ("grasp_cylinder", 101), ("usb_plug", 1), ("usb_plug", 101))
-#: Takes of a scene: every third is held out, so the table has four.
-_TAKES = 6
+#: Takes of a scene, as in `gelstereo tune`: every third is held out, so the table has eight.
+_TAKES = 12
 #: Evaluations after which Optuna stops; there are 324 settings.
 _MAX_TRIALS = 648
 
