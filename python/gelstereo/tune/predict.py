@@ -20,13 +20,20 @@ from gelstereo.tune.measure import Figures, outcome_of
 from gelstereo.tune.rungs import RUNGS, Rung, rungs_of
 from gelstereo.tune.setting import Setting
 
-__all__ = ["base_settings", "nearest_to", "predicted_front", "reference_setting", "settings_to_measure"]
+__all__ = [
+    "base_settings",
+    "nearest_to",
+    "predicted_front",
+    "reference_setting",
+    "rungs_beside",
+    "settings_to_measure",
+]
 
 #: Triangulation beside which each other rung is measured.
 _POINTS = "rays"
-#: Scatter of times, as a share of the time of sensing at the base. On `grasp_cylinder` (two seeds, seven goals
-#: each), 0.13 to 0.5 give a mean regret of 0.7 to 0.9 %, and 0 gives 3.4 %: settings that are a little faster
-#: than predicted then never become candidates.
+#: Scatter of times, as a share of the time of sensing at the base. On `grasp_cylinder` (two seeds, seven
+#: goals each), 0.13 to 0.5 give a mean regret of 0.7 to 0.9 %, and 0 gives 3.4 %: settings that are a little
+#: faster than predicted then never become candidates.
 _TIME_SCATTER = 0.15
 #: The most accurate rungs.
 _REFERENCE = ("fine fit, whole images", "rays, disc bias")
@@ -71,6 +78,18 @@ def settings_to_measure(base: Setting) -> list[Setting]:
     return list(dict.fromkeys(found))
 
 
+def rungs_beside(base: Setting, setting: Setting) -> list[Setting]:
+    """Those of `settings_to_measure` from which a setting is predicted."""
+    sensing = base.sensing
+    found = [
+        Setting(setting.detect, sensing.points, sensing.contact),
+        Setting(sensing.detect, setting.points, sensing.contact),
+    ]
+    if setting.register is not None:
+        found.append(Setting(sensing.detect, sensing.points, setting.contact, setting.register))
+    return found
+
+
 def _other_centres(base: Setting) -> Setting:
     """The base with the centres of the next more accurate kind."""
     kinds = rungs_of("detect")
@@ -108,11 +127,14 @@ class _Predictor:
         self._base, self._register = base, base.register is not None
         self._outcomes = {setting: outcome_of(each) for setting, each in figures.items()}
         self._sensing = self._outcomes[self._base.sensing]
-        self._share = self._pose_share() if self._register else 0.0
+        self._share = self._pose_share(figures) if self._register else 0.0
 
-    def _pose_share(self) -> float:
+    def _pose_share(self, figures: Mapping[Setting, Sequence[Figures]]) -> float:
         """Share of the squared pose error that scales with the squared depth error of the points."""
-        base, other = self._outcomes[self._base], self._outcomes[_other_centres(self._base)]
+        pair = [figures[setting] for setting in (self._base, _other_centres(self._base))]
+        # Of the same takes.
+        takes = min(map(len, pair))
+        base, other = (outcome_of(each[:takes]) for each in pair)
         more = (other.height_um / base.height_um) ** 2 - 1.0
         if not (math.isfinite(more) and abs(more) > 0.0 and base.error_um > 0.0):
             return 1.0
@@ -178,11 +200,27 @@ def predicted_front(
     ]
 
 
-def nearest_to(goal: Goal, points: Sequence[tuple[Setting, Outcome]], count: int) -> list[Setting]:
-    """Settings nearest to the goal, from both sides of its limits in turn, as predictions are not exact."""
+def nearest_to(
+    goal: Goal, points: Sequence[tuple[Setting, Outcome]], count: int, *, both_sides: bool = True
+) -> list[Setting]:
+    """Settings nearest to the goal.
+
+    Parameters
+    ----------
+    goal
+        The limits.
+    points
+        Settings and their predicted outcomes.
+    count
+        How many at most.
+    both_sides
+        Whether to take settings that keep the limits and ones that miss them in turn, as predictions are not
+        exact. Otherwise those that miss them come last.
+    """
     ranked = sorted(points, key=lambda point: goal.rank(point[1]))
     inside = [setting for setting, outcome in ranked if goal.excess(outcome) <= 0.0]
     outside = [setting for setting, outcome in ranked if goal.excess(outcome) > 0.0]
+    if not both_sides:
+        return (inside or outside)[:count]
     shared = [setting for pair in zip(inside, outside, strict=False) for setting in pair]
-    rest = (inside[len(outside) :], outside[len(inside) :])
-    return (shared + rest[0] + rest[1])[:count]
+    return (shared + inside[len(outside) :] + outside[len(inside) :])[:count]

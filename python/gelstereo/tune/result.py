@@ -11,10 +11,10 @@ from gelstereo.tune.intervals import Interval, of_share, of_take
 from gelstereo.tune.measure import Figures, outcome_of
 from gelstereo.tune.setting import Setting
 
-__all__ = ["Check", "Tuned"]
+__all__ = ["ERROR_RATIO", "TIME_RATIO", "Check", "Tuned"]
 
-#: What held-out frames may differ by: their time, and their error.
-_TIME_RATIO, _ERROR_RATIO = 1.2, 1.5
+#: By what factors held-out frames may differ: in time, and in error.
+TIME_RATIO, ERROR_RATIO = 1.2, 1.5
 
 
 @dataclass(frozen=True)
@@ -99,13 +99,13 @@ class Tuned:
         times = of_take([take.time_ms for take in takes])
         heights = of_take([take.height_um for take in takes])
         found = [
-            _check("time", "ms", expected.time_ms, times, held_out.time_ms, _TIME_RATIO),
-            _check("height error", "um", expected.height_um, heights, held_out.height_um, _ERROR_RATIO),
+            _check("time", "ms", expected.time_ms, times, held_out.time_ms, TIME_RATIO),
+            _check("height error", "um", expected.height_um, heights, held_out.height_um, ERROR_RATIO),
         ]
         if expected.pose_um is None or held_out.pose_um is None:
             return found
         poses = of_take([take.pose_um for take in takes if take.pose_um is not None])
-        found.append(_check("pose error", "um", expected.pose_um, poses, held_out.pose_um, _ERROR_RATIO))
+        found.append(_check("pose error", "um", expected.pose_um, poses, held_out.pose_um, ERROR_RATIO))
         return [*found, self._success()]
 
     def _success(self) -> Check:
