@@ -303,6 +303,40 @@ def test_tuning_finds_the_best_of_all_with_a_tenth_of_the_measurements(
     assert len(world.asked) <= len(SETTINGS) * world.takes // 10
 
 
+class Treacherous(World):
+    """Nothing fails but the cheapest registrations, and these only after the first take."""
+
+    def measure(self, settings: Iterable[Setting], takes: int) -> dict[Setting, list[Figures]]:
+        found = super().measure(settings, takes)
+        return {setting: self.spoilt(setting, figures) for setting, figures in found.items()}
+
+    def spoilt(self, setting: Setting, figures: list[Figures]) -> list[Figures]:
+        whole = [replace(each, successes=each.trials) for each in figures]
+        if setting.register is None or setting.register.name != "surface_close":
+            return whole
+        failed = {"successes": 900, "pose_um2": 1e6}
+        return [whole[0], *(replace(each, **failed) for each in whole[1:])]  # type: ignore[arg-type]
+
+    def check(self, setting: Setting) -> list[Figures]:
+        return self.spoilt(setting, super().check(setting))
+
+
+@settings(max_examples=5, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), limit=st.sampled_from([Goal(success=99.0), Goal(error_um=100.0)]))
+def test_failures_that_the_first_take_does_not_show_are_avoided(seed: int, limit: Goal) -> None:
+    world = Treacherous(seed)
+    world.times = {name: 0.1 if "surface_close" in name else 1.0 + time for name, time in world.times.items()}
+    found = tune(world, limit)  # type: ignore[arg-type]
+    true = World.measure(world, SETTINGS, world.takes)
+    safe = [
+        outcome_of(world.spoilt(setting, figures)).time_ms
+        for setting, figures in true.items()
+        if limit.excess(outcome_of(world.spoilt(setting, figures))) == 0.0
+    ]
+    assert found.is_reached and found.setting.register.name != "surface_close"  # type: ignore[union-attr]
+    assert found.outcome.time_ms <= min(safe) * (1.0 + 1e-9)
+
+
 @settings(max_examples=5, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_a_goal_out_of_reach_gets_the_nearest_settings_and_says_so(seed: int) -> None:

@@ -115,7 +115,7 @@ def _localization(arguments: argparse.Namespace, rounds: int, starts: int) -> in
 
 def _tuning(page: Path, is_quick: bool) -> int:
     check_page(page, ["tuning"])
-    found = measure_tuning(_report, SCENES[:1] if is_quick else SCENES, seeds=2 if is_quick else 10)
+    found = measure_tuning(_report, SCENES[:1] if is_quick else SCENES, seeds=1 if is_quick else 5)
     replace_between(page, found.name, table(found.head, found.rows))
     print(f"wrote {page}")
     return 0

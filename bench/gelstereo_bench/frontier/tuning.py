@@ -7,8 +7,9 @@ receives an entry without noise and pays only once for equal sensing, which favo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -38,8 +39,8 @@ __all__ = ["SCENES", "Measured", "measure_tuning"]
 SCENES = (("grasp_cylinder", 1), ("grasp_cylinder", 101), ("usb_plug", 1), ("usb_plug", 101))
 #: Takes of a scene, as in `gelstereo tune`: every third is held out, so the table has eight.
 _TAKES = 12
-#: Evaluations after which Optuna stops; there are 324 settings.
-_MAX_TRIALS = 648
+#: Trials after which Optuna stops; there are 324 settings.
+_MAX_TRIALS = 324
 
 
 @dataclass
@@ -51,9 +52,14 @@ class Measured:
     frames: int
     figures: dict[Setting, list[Figures]] = field(default_factory=dict)
 
+    @cached_property
+    def outcomes(self) -> dict[Setting, Outcome]:
+        """Of every setting with registration, on all takes."""
+        return {key: outcome_of(each) for key, each in self.figures.items() if key.register}
+
     def outcome(self, setting: Setting) -> Outcome:
         """Of a setting on all takes."""
-        return outcome_of(self.figures[setting])
+        return self.outcomes[setting]
 
     def cost_ms(self, asked: Iterable[tuple[Setting, int]]) -> float:
         """Processor time of measuring settings on takes; equal sensing is measured once."""
@@ -68,8 +74,7 @@ class Measured:
 
     def goals(self) -> list[Goal]:
         """Budgets and errors between the ends of the front, and a success rate."""
-        outcomes = [self.outcome(setting) for setting in self.figures if setting.register]
-        fastest, best = (min(outcomes, key=key) for key in (_time_ms, _error_um))
+        fastest, best = (min(self.outcomes.values(), key=key) for key in (_time_ms, _error_um))
         levels = np.array([0.2, 0.5, 0.8])
         budgets = _time_ms(fastest) * (_time_ms(best) / _time_ms(fastest)) ** levels
         errors = _error_um(best) * (_error_um(fastest) / _error_um(best)) ** levels
@@ -79,17 +84,27 @@ class Measured:
     def regret(self, goal: Goal, setting: Setting) -> float:
         """Relative excess over the goal's limits, or over the best cost within them, whichever is more."""
         outcome = self.outcome(setting)
-        every = [self.outcome(each) for each in self.figures if each.register]
-        best = min(every, key=goal.rank)
+        best = min(self.outcomes.values(), key=goal.rank)
         return max(goal.excess(outcome) - goal.excess(best), goal.cost(outcome) / goal.cost(best) - 1.0, 0.0)
 
 
 @dataclass(frozen=True)
 class Run:
-    """One search: its regret, and its cost as a share of that of exhaustive search."""
+    """One search: its time as a share of that of exhaustive search, and the regret of its best setting, after
+    each step.
+    """
 
-    regret: float
-    share: float
+    shares: tuple[float, ...]
+    regrets: tuple[float, ...]
+
+    def regret_at(self, share: float) -> float:
+        """Regret after a share of the time; before the first step, that of the first setting."""
+        return self.regrets[max(int(np.searchsorted(self.shares, share, side="right")) - 1, 0)]
+
+    def share_of(self, regret: float) -> float:
+        """Time until the regret is no more than that; of the whole run if it never is."""
+        good = np.flatnonzero(np.array(self.regrets) <= regret + 1e-9)
+        return self.shares[int(good[0])] if good.size else self.shares[-1]
 
 
 def measured(name: str, seed: int, cache: Path | None) -> Measured:
@@ -126,7 +141,7 @@ def tuned(table: Measured, goal: Goal) -> Run:
     finally:
         del table.laboratory.measure
     cost_ms = sum(table.cost_ms(call) for call in asked)
-    return Run(table.regret(goal, chosen), cost_ms / exhaustive_ms(table))
+    return Run((cost_ms / exhaustive_ms(table),), (table.regret(goal, chosen),))
 
 
 def exhaustive_ms(table: Measured) -> float:
@@ -135,23 +150,36 @@ def exhaustive_ms(table: Measured) -> float:
     return table.cost_ms((setting, take) for setting in table.figures if setting.register for take in takes)
 
 
-def searched(
-    table: Measured, goal: Goal, ask: Callable[[Goal, int], Search], seed: int, regret: float
-) -> Run:
-    """Run a search of Optuna until its regret is no more than that of the tuner."""
-    search = ask(goal, seed)
-    takes = range(table.laboratory.takes)
+def searched(table: Measured, goal: Goal, search: Search) -> Run:
+    """Run a search of Optuna."""
+    whole_ms, spent_ms = exhaustive_ms(table), 0.0
     asked: dict[Setting, None] = {}
-    reached = float("inf")
+    sensed: set[Setting] = set()
+    best: Setting | None = None
+    shares, regrets = [], []
     for _ in range(_MAX_TRIALS):
         setting = search.next()
+        outcome = table.outcome(setting)
+        search.tell(outcome)
+        if setting in asked:
+            continue  # an equal trial costs nothing
         asked[setting] = None
-        search.tell(table.outcome(setting))
-        reached = min(reached, table.regret(goal, setting))
-        if reached <= regret + 1e-9:
-            break
-    cost_ms = table.cost_ms((setting, take) for setting in asked for take in takes)
-    return Run(reached, cost_ms / exhaustive_ms(table))
+        spent_ms += _cost_ms(table, setting, sensed)
+        if best is None or goal.rank(outcome) < goal.rank(table.outcome(best)):
+            best = setting
+        shares.append(spent_ms / whole_ms)
+        regrets.append(table.regret(goal, best))
+    return Run(tuple(shares), tuple(regrets))
+
+
+def _cost_ms(table: Measured, setting: Setting, sensed: set[Setting]) -> float:
+    """Processor time of one more setting on all takes, without sensing that was measured before."""
+    takes = range(table.laboratory.takes)
+    whole_ms = table.cost_ms((setting, take) for take in takes)
+    if setting.sensing not in sensed:
+        sensed.add(setting.sensing)
+        return whole_ms
+    return whole_ms - table.cost_ms((setting.sensing, take) for take in takes)
 
 
 class Search:
@@ -163,19 +191,14 @@ class Search:
 
         optuna.logging.set_verbosity(optuna.logging.ERROR)
 
-        def constraints(trial: optuna.trial.FrozenTrial) -> Sequence[float]:
-            return (float(trial.user_attrs.get("excess", 0.0)),)
-
         self._goal = goal
         sampler: optuna.samplers.BaseSampler
         if is_genetic:
             # A population of 50, the default, would be the first sixth of all settings, at random.
-            sampler = optuna.samplers.NSGAIISampler(
-                population_size=20, seed=seed, constraints_func=constraints
-            )
+            sampler = optuna.samplers.NSGAIISampler(population_size=20, seed=seed)
             self._study = optuna.create_study(directions=["minimize", "minimize"], sampler=sampler)
         else:
-            sampler = optuna.samplers.TPESampler(seed=seed, multivariate=True, constraints_func=constraints)
+            sampler = optuna.samplers.TPESampler(seed=seed, multivariate=True)
             self._study = optuna.create_study(sampler=sampler)
         self._is_genetic = is_genetic
         self._settings = {tuple(rung.name for rung in rungs): Setting.of(rungs) for rungs in combinations()}
@@ -192,7 +215,7 @@ class Search:
 
     def tell(self, outcome: Outcome) -> None:
         """Report what it does."""
-        self._trial.set_user_attr("excess", self._goal.excess(outcome))
+        self._trial.set_constraint("goal", self._goal.excess(outcome))
         values = [outcome.time_ms, outcome.error_um] if self._is_genetic else [self._goal.cost(outcome)]
         self._study.tell(self._trial, values)
 
@@ -200,7 +223,7 @@ class Search:
 def measure_tuning(
     report: Report,
     scenes: Sequence[tuple[str, int]] = SCENES,
-    seeds: int = 10,
+    seeds: int = 5,
     cache: Path | None = None,
 ) -> Table:
     """Regret and cost of the tuner and of Optuna, over scenes and goals.
@@ -216,38 +239,62 @@ def measure_tuning(
     cache
         Folder of kept measurements. Default: none.
     """
-    runs: dict[str, list[Run]] = {"gelstereo.tune": [], "Optuna, TPE": [], "Optuna, NSGA-II": []}
-    ratios: dict[str, list[float]] = {name: [] for name in runs}
+    own: list[Run] = []
+    others: dict[str, list[list[Run]]] = {"Optuna, TPE": [], "Optuna, NSGA-II": []}
     for name, seed in scenes:
         report(f"tuning: all settings on {name}, seed {seed}")
         table = measured(name, seed, cache)
         for goal in table.goals():
             report(f"tuning: {name}, seed {seed}, {goal}")
-            own = tuned(table, goal)
-            runs["gelstereo.tune"].append(own)
-            for label, is_genetic in (("Optuna, TPE", False), ("Optuna, NSGA-II", True)):
-                for again in range(seeds):
-                    ask = lambda goal, seed, genetic=is_genetic: Search(goal, seed, genetic)  # noqa: E731
-                    found = searched(table, goal, ask, again, own.regret)
-                    runs[label].append(found)
-                    ratios[label].append(found.share / own.share)
-    head = ["method", "regret, %", "largest regret, %", "time, % of exhaustive", "times as long as the tuner"]
-    rows = [
-        ["exhaustive search", "0", "0", "100", _ratio([1.0 / run.share for run in runs["gelstereo.tune"]])]
+            own.append(tuned(table, goal))
+            for label, is_genetic in zip(others, (False, True), strict=True):
+                found = [searched(table, goal, Search(goal, again, is_genetic)) for again in range(seeds)]
+                others[label].append(found)
+    head = [
+        "method",
+        "mean regret, %",
+        "largest, %",
+        "time, % of exhaustive search",
+        "times as long for the tuner's mean regret",
+        "run by run: median (10th to 90th percentile)",
     ]
-    for name, every in runs.items():
-        regrets = [100.0 * run.regret for run in every]
-        shares = [100.0 * run.share for run in every]
-        rows.append(
-            [
-                name,
-                f"{np.median(regrets):.1f}",
-                f"{max(regrets):.1f}",
-                f"{np.median(shares):.1f} (up to {max(shares):.1f})",
-                _ratio(ratios[name]) if ratios[name] else "1",
-            ]
-        )
+    share = float(np.mean([run.shares[0] for run in own]))
+    regrets = np.array([run.regrets[0] for run in own])
+    rows = [
+        ["exhaustive search", "0", "0", "100", f"{1.0 / share:.0f}", "-"],
+        ["gelstereo tune", _percent(regrets.mean()), _percent(regrets.max()), _percent(share), "1", "1"],
+    ]
+    rows += [_row(label, own, runs, share, float(regrets.mean())) for label, runs in others.items()]
     return Table("tuning", head, rows)
+
+
+def _row(
+    label: str, own: Sequence[Run], runs: Sequence[Sequence[Run]], share: float, regret: float
+) -> list[str]:
+    """A method after the tuner's time, and how much longer it takes for the tuner's regret."""
+    every = [run for group in runs for run in group]
+    now = np.array([run.regret_at(share) for run in every])
+    grid = np.unique([step for run in every for step in run.shares])
+    mean = [float(np.mean([run.regret_at(step) for run in every])) for step in grid]
+    reached = grid[int(np.argmax(np.array(mean) <= regret))] if min(mean) <= regret else grid[-1]
+    ratios = [
+        run.share_of(tuner.regrets[0]) / tuner.shares[0]
+        for tuner, group in zip(own, runs, strict=True)
+        for run in group
+    ]
+    low, middle, high = np.quantile(ratios, (0.1, 0.5, 0.9))
+    return [
+        label,
+        f"{_percent(now.mean())} after the tuner's time",
+        _percent(now.max()),
+        _percent(float(reached)),
+        f"{reached / share:.1f}",
+        f"{middle:.1f} ({low:.1f} to {high:.1f})",
+    ]
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.1f}"
 
 
 def _time_ms(outcome: Outcome) -> float:
@@ -256,8 +303,3 @@ def _time_ms(outcome: Outcome) -> float:
 
 def _error_um(outcome: Outcome) -> float:
     return outcome.error_um
-
-
-def _ratio(values: Sequence[float]) -> str:
-    low, middle, high = np.quantile(values, (0.1, 0.5, 0.9))
-    return f"{middle:.1f} ({low:.1f} to {high:.1f})"

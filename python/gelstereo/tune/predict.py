@@ -200,27 +200,10 @@ def predicted_front(
     ]
 
 
-def nearest_to(
-    goal: Goal, points: Sequence[tuple[Setting, Outcome]], count: int, *, both_sides: bool = True
-) -> list[Setting]:
-    """Settings nearest to the goal.
-
-    Parameters
-    ----------
-    goal
-        The limits.
-    points
-        Settings and their predicted outcomes.
-    count
-        How many at most.
-    both_sides
-        Whether to take settings that keep the limits and ones that miss them in turn, as predictions are not
-        exact. Otherwise those that miss them come last.
-    """
+def nearest_to(goal: Goal, points: Sequence[tuple[Setting, Outcome]], count: int) -> list[Setting]:
+    """Settings nearest to the goal, from both sides of its limits in turn, as predictions are not exact."""
     ranked = sorted(points, key=lambda point: goal.rank(point[1]))
     inside = [setting for setting, outcome in ranked if goal.excess(outcome) <= 0.0]
     outside = [setting for setting, outcome in ranked if goal.excess(outcome) > 0.0]
-    if not both_sides:
-        return (inside or outside)[:count]
     shared = [setting for pair in zip(inside, outside, strict=False) for setting in pair]
     return (shared + inside[len(outside) :] + outside[len(inside) :])[:count]

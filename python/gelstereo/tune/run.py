@@ -123,14 +123,19 @@ def tune(laboratory: Laboratory, goal: Goal) -> Tuned:
     verified: dict[Setting, tuple[Outcome, Outcome]] = {}
     while True:
         front = predicted_front(figures, base)
-        candidates = nearest_to(goal, front, CANDIDATES, both_sides=not verified)
-        best = _verified(laboratory, goal, candidates)
+        known = {setting for setting, each in figures.items() if len(each) == laboratory.takes}
+        # What is known to miss the goal needs no verification.
+        still_open = [
+            (setting, outcome)
+            for setting, outcome in front
+            if goal.excess(outcome) <= 0.0 or rungs_beside(base, setting)[-1] not in known
+        ]
+        best = _verified(laboratory, goal, nearest_to(goal, still_open or front, CANDIDATES))
         predicted = dict(front)[best]
         measured = outcome_of(laboratory.measure([best], laboratory.takes)[best])
         verified[best] = predicted, measured
         rungs = rungs_beside(base, best)
-        is_known = all(len(figures[rung]) == laboratory.takes for rung in rungs)
-        if is_known or not _contradicts(goal, predicted, measured):
+        if known.issuperset(rungs) or not _contradicts(goal, predicted, measured):
             break
         figures |= laboratory.measure(rungs, laboratory.takes)
     best = min(verified, key=lambda setting: goal.rank(verified[setting][1]))
