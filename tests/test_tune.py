@@ -406,6 +406,12 @@ def test_a_part_is_registered_from_guesses(peg: Part) -> None:
     assert figures.successes == 0 and figures.pose_um2 == pytest.approx(1e-6)
 
 
+def test_a_part_that_touches_nothing_is_refused(peg: Part) -> None:
+    away = [{**key, "position_mm": [4.0, 0.0, 40.0]} for key in PEG.to_dict()["trajectory"]]
+    with pytest.raises(TuneError, match="touches the gel in no frame of the scene"):
+        laboratory_of(simulated_takes(PEG.replace({"trajectory": away}), 2), part=peg, clock=Clock())
+
+
 def test_an_interrupted_measurement_keeps_finished_takes(tmp_path: Path) -> None:
     class Impatient(Clock):
         def __call__(self) -> int:

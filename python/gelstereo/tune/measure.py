@@ -109,9 +109,20 @@ class Laboratory:
         prepare = partial(_Prepared, rig=takes.rig, reference=reference.params(base), part=part)
         self._tuning = [prepare(take, number) for number, take in enumerate(takes.tuning)]
         self._held_out = [prepare(take, -1 - number) for number, take in enumerate(takes.held_out)]
-        if part is not None and not takes.is_simulated:
-            self._tuning = [each for each in self._tuning if each.contacts]
-            self._held_out = [each for each in self._held_out if each.contacts]
+        if part is not None:
+            self._require_contacts()
+
+    def _require_contacts(self) -> None:
+        if self.is_simulated:
+            # All takes have the same trajectory.
+            if not self._tuning[0].contacts:
+                raise TuneError(
+                    "the part touches the gel in no frame of the scene; press it in until 12 markers, in "
+                    "three rows and columns, are in contact"
+                )
+            return
+        self._tuning = [each for each in self._tuning if each.contacts]
+        self._held_out = [each for each in self._held_out if each.contacts]
         if not self._tuning or not self._held_out:
             raise TuneError(
                 "the part was found in too few takes of the recording; check that it touches the gel in "
@@ -134,15 +145,18 @@ class Laboratory:
     def _measured(
         self, settings: Sequence[Setting], takes: Sequence[_Prepared], what: str
     ) -> dict[Setting, list[Figures]]:
-        with Progress(what) as shown:
-            for done, prepared in enumerate(takes):
-                shown(done, len(takes), f"{len(settings)} settings")
-                names = {setting: f"{prepared.number}: {setting}" for setting in settings}
-                missing = [setting for setting in settings if names[setting] not in self._store.values]
-                if missing:
-                    found = self._measure(prepared, missing)
-                    self._store.keep({names[setting]: asdict(each) for setting, each in found.items()})
-            shown(len(takes), len(takes))
+        missing = {
+            take: [setting for setting in settings if f"{take.number}: {setting}" not in self._store.values]
+            for take in takes
+        }
+        missing = {take: wanted for take, wanted in missing.items() if wanted}
+        if missing:
+            with Progress(what) as shown:
+                for done, (take, wanted) in enumerate(missing.items()):
+                    shown(done, len(missing), f"{len(wanted)} settings on a take")
+                    found = self._measure(take, wanted)
+                    self._store.keep({f"{take.number}: {key}": asdict(each) for key, each in found.items()})
+                shown(len(missing), len(missing))
         return {
             setting: [Figures(**self._store.values[f"{take.number}: {setting}"]) for take in takes]
             for setting in settings
