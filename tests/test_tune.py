@@ -45,6 +45,7 @@ from gelstereo.tune.measure import outcome_of
 from gelstereo.tune.predict import base_settings, predicted_front, settings_to_measure
 from gelstereo.tune.run import efforts
 from gelstereo.tune.rungs import combinations
+from gelstereo_bench.frontier.tuning import Measured, searched, tuned
 
 SCENES = Path(__file__).parents[1] / "scenes"
 #: A press of a peg, 16 frames.
@@ -346,6 +347,37 @@ def test_a_goal_out_of_reach_gets_the_nearest_settings_and_says_so(seed: int) ->
     least = min(outcome_of([world.figures(setting)]).error_um for setting in SETTINGS)
     assert not found.is_reached and found.outcome.error_um == pytest.approx(least)
     assert "instead of at most 0.001" in str(found)
+
+
+# The benchmark
+
+
+class InOrder:
+    """Asks for every setting once."""
+
+    def __init__(self) -> None:
+        self._settings = iter(SETTINGS)
+
+    def next(self) -> Setting:
+        return next(self._settings)
+
+    def tell(self, outcome: Outcome) -> None:
+        assert outcome.success is not None
+
+
+@settings(max_examples=5, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_the_benchmark_finds_no_regret_where_predictions_are_exact(seed: int) -> None:
+    world = World(seed)
+    table = Measured("world", world, 46)  # type: ignore[arg-type]
+    table.figures = world.measure([*SETTINGS, *(setting.sensing for setting in SETTINGS)], world.takes)
+    for goal in table.goals():
+        own = tuned(table, goal)
+        assert own.regrets[0] < 1e-9 and own.shares[0] < 0.1
+        whole = searched(table, goal, InOrder())  # type: ignore[arg-type]
+        # Everything asked for costs as much as exhaustive search, and has no regret.
+        assert whole.shares[-1] == pytest.approx(1.0) and whole.regrets[-1] == 0.0
+        assert whole.share_of(0.0) <= 1.0 + 1e-9 and whole.regret_at(2.0) == 0.0
 
 
 # Simulated frames
