@@ -57,8 +57,6 @@ class Tuned:
         The chosen rungs.
     params : Params
         The settings.
-    predicted : Outcome
-        From the rungs' own measurements.
     figures, held_out : tuple of Figures
         Of each take that was tuned on, and of each that was not.
     front : tuple of (Setting, Outcome)
@@ -71,7 +69,6 @@ class Tuned:
     goal: Goal
     setting: Setting
     params: Params
-    predicted: Outcome
     figures: tuple[Figures, ...]
     held_out: tuple[Figures, ...]
     front: tuple[tuple[Setting, Outcome], ...]
