@@ -201,7 +201,7 @@ PUBLIC_MODULES = [
         "parts",
         "point_files",
     ),
-    *("progress", "recordings", "scattered", "setup", "streams", "templates", "view"),
+    *("progress", "recordings", "scattered", "setup", "streams", "templates", "tune", "view"),
 ]
 
 

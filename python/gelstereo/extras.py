@@ -28,6 +28,7 @@ REQUIREMENTS = {
     "mujoco": "./bench[physics]",
     "joblib": "./bench[batch]",
     "distributed": "./bench[batch]",
+    "optuna": "./bench[tune]",
     "open3d": "./bench[rivals]",
     "small_gicp": "./bench[rivals]",
     "probreg": "./bench[rivals]",

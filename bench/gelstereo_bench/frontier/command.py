@@ -46,6 +46,8 @@ from gelstereo_bench.frontier.speed import (
 from gelstereo_bench.frontier.table import Report, Table, Target
 from gelstereo_bench.frontier.timing import InstructionCounter
 from gelstereo_bench.frontier.tracking import measure_tracking
+from gelstereo_bench.frontier.tuning import SCENES, measure_tuning
+from gelstereo_bench.reports.markdown import replace_between, table
 
 __all__ = ["EXAMPLES", "add_arguments", "run"]
 
@@ -54,6 +56,7 @@ EXAMPLES = """examples:
   gelstereo frontier localization        registration beside other libraries: docs/localization.md
   gelstereo frontier cost                instructions over image size and markers: the model of deadlines
   gelstereo frontier deadlines           how often deadlines are kept beside another process
+  gelstereo frontier tuning              the tuner beside exhaustive search and Optuna: docs/tuning.md
   gelstereo frontier --quick --docs out  a few rounds, to see that all methods run
 """
 
@@ -63,7 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "topic",
         nargs="?",
-        choices=("sensing", "localization", "cost", "deadlines"),
+        choices=("sensing", "localization", "cost", "deadlines", "tuning"),
         default="sensing",
         help="what is measured",
     )
@@ -92,6 +95,8 @@ def run(arguments: argparse.Namespace) -> int:
             return _cost(arguments)
         if arguments.topic == "deadlines":
             return _deadlines(arguments)
+        if arguments.topic == "tuning":
+            return _tuning(arguments.docs / "tuning.md", arguments.quick)
         return _sensing(arguments, rounds, starts)
     finally:
         cv2.setNumThreads(threads)
@@ -141,6 +146,14 @@ def _deadlines(arguments: argparse.Namespace) -> int:
     write_table(page, deadline_table(found))
     late = [kept for kept in found if kept.late_share > 0.001]
     print(f"wrote {page}; {len(found) - len(late)} of {len(found)} deadlines kept in 99.9 % of the frames")
+    return 0
+
+
+def _tuning(page: Path, is_quick: bool) -> int:
+    check_page(page, ["tuning"])
+    found = measure_tuning(_report, SCENES[:1] if is_quick else SCENES, seeds=1 if is_quick else 5)
+    replace_between(page, found.name, table(found.head, found.rows))
+    print(f"wrote {page}")
     return 0
 
 

@@ -24,6 +24,7 @@ COMMANDS = {
     "inspect": ("gelstereo.cli.inspect", "an image of a gel to what it shows, and the settings for it"),
     "setup": ("gelstereo.setup.command", "images of a new sensor to one sensor file and a report"),
     "compare": ("gelstereo.setup.compare_command", "two sensor files: what differs, and what it means"),
+    "tune": ("gelstereo.tune.command", "presses or a scene, and a goal, to the settings that reach it"),
     "localize": ("gelstereo.cli.localize", "a point cloud or stereo images, and a template, to a pose"),
     "template": ("gelstereo.cli.template", "a part's mesh, checked, to a template and a picture of it"),
     "simulate": ("gelstereo.cli.simulate", "a scene to stereo images with their truth"),
