@@ -43,6 +43,8 @@ __all__ = ["EXAMPLES", "add_arguments", "run"]
 EXAMPLES = """examples:
   gelstereo frontier                     measure everything and write docs/accuracy-vs-time.md (minutes)
   gelstereo frontier localization        registration beside other libraries: docs/localization.md
+  gelstereo frontier pipeline            whole pipelines beside other libraries: the picture of the price of
+                                         accuracy; goes on where it was interrupted
   gelstereo frontier --quick --docs out  a few rounds, to see that all methods run
 """
 
@@ -50,12 +52,22 @@ EXAMPLES = """examples:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument(
-        "topic", nargs="?", choices=("sensing", "localization"), default="sensing", help="what is measured"
+        "topic",
+        nargs="?",
+        choices=("sensing", "localization", "pipeline"),
+        default="sensing",
+        help="what is measured",
     )
     parser.add_argument("--docs", type=Path, default=Path("docs"), help="folder with the pages")
     parser.add_argument("--quick", action="store_true", help="few rounds and starts: figures mean little")
     parser.add_argument("--rounds", type=count, help="rounds of timing (default 200, quick 3)")
     parser.add_argument("--starts", type=count, help="starts of registration per part (default 64, quick 4)")
+    parser.add_argument(
+        "--results",
+        type=Path,
+        default=Path("out/frontier"),
+        help="folder where the topic pipeline keeps finished measurements",
+    )
     parser.add_argument(
         "--no-instructions",
         action="store_true",
@@ -71,6 +83,8 @@ def run(arguments: argparse.Namespace) -> int:
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
+        if arguments.topic == "pipeline":
+            return _pipeline(arguments)
         if arguments.topic == "localization":
             return _localization(arguments, rounds, starts)
         return _sensing(arguments, rounds, starts)
@@ -102,6 +116,15 @@ def _localization(arguments: argparse.Namespace, rounds: int, starts: int) -> in
     )
     write_page(page, tables, targets, rounds, said)
     return _done(page, targets)
+
+
+def _pipeline(arguments: argparse.Namespace) -> int:
+    # Imported here, because other topics need none of it.
+    from gelstereo_bench.frontier.pipeline.topic import FULL, QUICK, run_pipeline
+
+    page = run_pipeline(arguments.docs, arguments.results, QUICK if arguments.quick else FULL)
+    print(f"wrote {page} and its pictures; {arguments.results} holds the measurements")
+    return 0
 
 
 def _done(page: Path, targets: Sequence[Target]) -> int:
