@@ -60,7 +60,7 @@ class Budget:
             getattr(self, name).extend(values)
 
 
-def measure_budgets(kept: Kept, seeds: int, law_seeds: int) -> dict[str, dict[int, Budget]]:
+def measure_budgets(kept: Kept, seeds: int, law_seeds: int, every: int = 1) -> dict[str, dict[int, Budget]]:
     """Run the search with every budget on every contact from all starts; budgets take turns.
 
     Parameters
@@ -71,6 +71,8 @@ def measure_budgets(kept: Kept, seeds: int, law_seeds: int) -> dict[str, dict[in
         Simulated contacts of each part and noise.
     law_seeds
         Contacts of each part and law of ``bench/outside``, half `w`; at most 16 or 32 are stored.
+    every
+        One in so many parts with a noise or law is used.
 
     Returns
     -------
@@ -78,7 +80,7 @@ def measure_budgets(kept: Kept, seeds: int, law_seeds: int) -> dict[str, dict[in
         Results by kind of contacts and budget.
     """
     found = {kind: {budget: Budget() for budget in BUDGETS} for kind in (SIMULATED, OTHER_LAWS)}
-    code, blocks = code_digest(), list(_blocks(seeds, law_seeds))
+    code, blocks = code_digest(), list(_blocks(seeds, law_seeds))[::every]
     with Progress("frontier pipeline: budgets") as shown:
         for done, (kind, name, count, contacts) in enumerate(blocks):
             shown(done, len(blocks), name)

@@ -26,6 +26,8 @@ class Extent:
 
     Attributes
     ----------
+    every
+        One in so many path-traced scenes, and kinds of contact for budgets, is used.
     seeds, traced_seeds
         Runs of every simulated scene, and noises of every path-traced one.
     starts
@@ -34,6 +36,7 @@ class Extent:
         Contacts for every part and noise, and for every part and law, on which budgets are compared.
     """
 
+    every: int
     seeds: int
     traced_seeds: int
     starts: int

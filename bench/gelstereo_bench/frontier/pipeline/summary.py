@@ -8,29 +8,33 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from gelstereo import Params
 from gelstereo.tune.rungs import Rung
 from gelstereo_bench.frontier.pipeline.cases import Case
+from gelstereo_bench.frontier.pipeline.front import is_on_front
 from gelstereo_bench.frontier.pipeline.intervals import Interval, bootstrap, wilson
 from gelstereo_bench.frontier.pipeline.locators import Combination
 from gelstereo_bench.frontier.pipeline.sensing import Record, is_lost
 from gelstereo_bench.frontier.pipeline.sensors import PAPER, Family, Sensing, sensing_preset
 from gelstereo_bench.frontier.registering import SUCCESS_MM
 
-__all__ = ["Point", "Results", "depth_point", "f1", "pose_point", "short"]
+__all__ = ["Point", "Results", "depth_point", "f1", "front_of", "median_ms", "named_of", "pose_point"]
 
 Array = npt.NDArray[np.float64]
 #: By scene, a record by method for each seed.
 Results = Mapping[str, list[Mapping[str, Record]]]
 
-_SHORT = (
+_BRIEF = (
     ("soft threshold", "soft"),
     ("whole images", "whole"),
     ("polynomial", "poly"),
     ("surface_search, budget ", "search "),
     ("surface_close", "close"),
+    ("000000", "M"),
     ("0000", "0k"),
-    ("1000k", "1M"),
 )
+#: A point of the front is named if it is better by this share than the one named before it.
+_GAIN = 0.1
 
 
 @dataclass(frozen=True)
@@ -64,12 +68,34 @@ class Point:
         return bool(np.all(np.isfinite([error for error, _ in self.by_scene.values()])))
 
 
-def short(rungs: Sequence[Rung]) -> str:
+def front_of(points: Sequence[Point]) -> list[bool]:
+    """Whether each method is on the front of error and time; only methods that work in every scene can be."""
+    errors = [point.error.value if point.is_complete else np.inf for point in points]
+    return [bool(flag) for flag in is_on_front([point.ms for point in points], errors)]
+
+
+def named_of(points: Sequence[Point]) -> list[Point]:
+    """Points that table and picture name, by time.
+
+    They are the presets, the paper's method, the other libraries, and points of the front that are at least
+    10 % better than the one named before; finer steps are within the chance of repeated runs.
+    """
+    found, best = [], np.inf
+    for point, is_front in sorted(zip(points, front_of(points), strict=True), key=lambda each: each[0].ms):
+        is_step = is_front and point.error.value < (1.0 - _GAIN) * best
+        if is_step:
+            best = point.error.value
+        if is_step or point.presets or point.family in ("paper", "peer"):
+            found.append(point)
+    return found
+
+
+def _short(rungs: Sequence[Rung]) -> str:
     """Names of rungs as a label."""
     text = ", ".join(
         rung.name.replace(", ", " ") if rung.stage != "register" else rung.name for rung in rungs
     )
-    for long, brief in _SHORT:
+    for long, brief in _BRIEF:
         text = text.replace(long, brief)
     return text
 
@@ -78,7 +104,7 @@ def _geometric(values: Sequence[float]) -> float:
     return float(np.exp(np.mean(np.log(values)))) if len(values) else float("nan")
 
 
-def _median_ms(records: Sequence[Record]) -> float:
+def median_ms(records: Sequence[Record]) -> float:
     """Median over frames of all seeds; NaN without frames."""
     taken = [ms for record in records for ms in record["ms"]]
     return float(np.median(taken)) if taken else float("nan")
@@ -92,7 +118,7 @@ def depth_point(method: Sensing, cases: Sequence[Case], results: Results) -> Poi
     by_scene, groups, times = {}, [], []
     for case in cases:
         records = [block[method.name] for block in results[case.name]]
-        times.append(_median_ms(records))
+        times.append(median_ms(records))
         if any(is_lost(record) for record in records):
             by_scene[case.name] = (float("nan"), float("nan"))
             continue
@@ -103,7 +129,7 @@ def depth_point(method: Sensing, cases: Sequence[Case], results: Results) -> Poi
     presets = sensing_preset(method)
     return Point(
         method.name,
-        ", ".join(presets) or short(method.rungs[:2]) or method.name,
+        ", ".join(presets) or _short(method.rungs[:2]) or method.name,
         method.family,
         presets,
         _geometric([ms for ms in times if np.isfinite(ms)]),
@@ -134,8 +160,8 @@ def pose_point(each: Combination, cases: Sequence[Case], sensing: Results, locat
     for case in cases:
         records = [block[each.name] for block in locating[case.name]]
         group = [_errors_mm(record) for record in records]
-        sense_ms = _median_ms([block[each.sensing.name] for block in sensing[case.name]])
-        times.append(sense_ms + _median_ms(records))
+        sense_ms = median_ms([block[each.sensing.name] for block in sensing[case.name]])
+        times.append(sense_ms + median_ms(records))
         if not any(len(errors) for errors in group):
             continue  # the scene has no frame whose pose is judged
         groups.append(group)
@@ -146,7 +172,7 @@ def pose_point(each: Combination, cases: Sequence[Case], sensing: Results, locat
     rungs = (*each.sensing.rungs, *([each.rung] if each.rung else []))
     return Point(
         each.name,
-        ", ".join(presets) or (short(rungs) if each.rung else _plain(each)),
+        ", ".join(presets) or (_short(rungs) if each.rung else _plain(each)),
         each.sensing.family,
         presets,
         _geometric([ms for ms in times if np.isfinite(ms)]),
@@ -168,8 +194,6 @@ def _presets(each: Combination) -> tuple[str, ...]:
     """Presets that sense and register like this."""
     if each.params is None or each.sensing.name == PAPER:
         return ()
-    from gelstereo import Params
-
     own = each.params.to_toml()
     return tuple(name for name in sensing_preset(each.sensing) if Params.preset(name).to_toml() == own)
 

@@ -20,8 +20,8 @@ from gelstereo_bench.reports.provenance import processor
 __all__ = ["FULL", "QUICK", "run_pipeline"]
 
 #: Guesses off by 5 degrees and 1 mm differ little in success, so seeds count for more than starts.
-FULL = Extent(seeds=8, traced_seeds=3, starts=2, budget_seeds=8, law_seeds=12)
-QUICK = Extent(seeds=1, traced_seeds=1, starts=1, budget_seeds=1, law_seeds=1)
+FULL = Extent(every=1, seeds=8, traced_seeds=2, starts=2, budget_seeds=8, law_seeds=12)
+QUICK = Extent(every=4, seeds=1, traced_seeds=1, starts=1, budget_seeds=1, law_seeds=1)
 
 
 def run_pipeline(docs: Path, results: Path, extent: Extent) -> Path:
@@ -49,10 +49,10 @@ def run_pipeline(docs: Path, results: Path, extent: Extent) -> Path:
     """
     page = docs / "accuracy-vs-time.md"
     check_page(page, PIPELINE_SECTIONS)
-    cases = [*simulated_cases(), *traced_cases()]
+    cases = [*simulated_cases(), *traced_cases()[:: extent.every]]
     with Kept(results / "pipeline.jsonl") as kept:
         study = measure(kept, cases, sensing_methods(), extent)
-        budgets = measure_budgets(kept, extent.budget_seeds, extent.law_seeds)
+        budgets = measure_budgets(kept, extent.budget_seeds, extent.law_seeds, extent.every)
     depth, poses = points_of(study)
     tables: list[Table] = [*front_tables(study, depth, poses), budget_table(budgets)]
     texts = {each.name: table(each.head, each.rows) for each in tables}

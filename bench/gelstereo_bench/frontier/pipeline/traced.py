@@ -29,6 +29,8 @@ _ARC = 24
 def traced_cases() -> list[Case]:
     """All path-traced sequences of half `w`.
 
+    Each is played forth, back and forth.
+
     Raises
     ------
     Error
@@ -78,12 +80,15 @@ def _clean(name: str) -> list[Shot]:
 def _take(name: str, seed: int) -> Take:
     from outside.images import Condition, Sequence
 
-    sequence = Sequence.load(name)
-    pairs = [sequence.pair(index, Condition(), seed) for index in range(len(sequence))]
-    shots = [
-        replace(shot, left=left, right=right) for shot, (left, right) in zip(_clean(name), pairs, strict=True)
-    ]
-    judged = [index for index, shot in enumerate(shots) if shot.patch is not None]
+    sequence, clean = Sequence.load(name), _clean(name)
+    last = len(clean) - 1
+    # Forth, back and forth, each time with other noise, so that there are frames enough to time.
+    way = [*range(last), *range(last, 0, -1), *range(last + 1)]
+    shots = []
+    for place, index in enumerate(way):
+        left, right = sequence.pair(index, Condition(), 1000 * seed + place)
+        shots.append(replace(clean[index], left=left, right=right))
+    judged = [place for place in range(last + 1) if shots[place].patch is not None]
     rig = Rig.from_toml(sequence.about["rig"])
     return Take(rig, sequence.about["pitch_mm"], shots, judged, _BY_HAND, is_layered=True)
 
