@@ -10,6 +10,7 @@ from pathlib import Path
 
 import cv2
 
+from gelstereo import Error
 from gelstereo.cli.options import count
 from gelstereo_bench.frontier.boards import measure_boards
 from gelstereo_bench.frontier.building import measure_building
@@ -122,6 +123,11 @@ def _pipeline(arguments: argparse.Namespace) -> int:
     # Imported here, because other topics need none of it.
     from gelstereo_bench.frontier.pipeline.topic import FULL, QUICK, run_pipeline
 
+    if arguments.rounds or arguments.starts:
+        raise Error(
+            "--rounds and --starts do not apply to the topic pipeline, which has fixed seeds and guesses; "
+            "--quick measures fewer"
+        )
     page = run_pipeline(arguments.docs, arguments.results, QUICK if arguments.quick else FULL)
     print(f"wrote {page} and its pictures; {arguments.results} holds the measurements")
     return 0

@@ -14,7 +14,7 @@ Array = npt.NDArray[np.float64]
 #: Directions tried at every distance, right and left first.
 _DIRECTIONS = 24
 #: Distance of the nearest place, and steps to farther ones, px.
-_FIRST_PX, _STEP_PX = 9.0, 7.0
+_FIRST_PX, _STEP_PX = 13.0, 7.0
 
 
 def label_corners(

@@ -20,7 +20,7 @@ from gelstereo_bench.reports.provenance import processor
 __all__ = ["FULL", "QUICK", "run_pipeline"]
 
 #: Guesses off by 5 degrees and 1 mm differ little in success, so seeds count for more than starts.
-FULL = Extent(every=1, seeds=8, traced_seeds=2, starts=2, budget_seeds=8, law_seeds=12)
+FULL = Extent(every=1, seeds=8, traced_seeds=2, starts=2, budget_seeds=16, law_seeds=12)
 QUICK = Extent(every=4, seeds=1, traced_seeds=1, starts=1, budget_seeds=1, law_seeds=1)
 
 
