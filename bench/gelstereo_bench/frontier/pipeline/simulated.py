@@ -59,7 +59,7 @@ def _dense() -> Scene:
 
 
 def _rod() -> trimesh.Trimesh:
-    return trimesh.creation.cylinder(1.0, 5.0, sections=96)
+    return trimesh.creation.cylinder(1.0, 6.0, sections=96)
 
 
 SIMULATED = (
@@ -69,7 +69,7 @@ SIMULATED = (
     ),
     Contact("refraction", Press("square peg", parts.peg_square, (0.0, 8.0)), 1.0, layered_scene),
     Contact("low light", Press("key", parts.key, (2.0, 24.0), flat=True), 1.0, _dim),
-    Contact("small part", Press("rod", _rod, (2.5, 2.5)), 0.7, _plain),
+    Contact("small part", Press("rod", _rod, (3.0, 3.0)), 0.8, _plain),
     Contact("symmetric part", Press("hexagonal peg", parts.peg_hexagonal, (0.0, 8.0)), 1.0, _plain),
     Contact("dense lattice", Press("round peg", parts.peg_round, (0.0, 8.0)), 1.0, _dense),
 )
