@@ -80,7 +80,7 @@ def measure_budgets(kept: Kept, seeds: int, law_seeds: int, every: int = 1) -> d
         Results by kind of contacts and budget.
     """
     found = {kind: {budget: Budget() for budget in BUDGETS} for kind in (SIMULATED, OTHER_LAWS)}
-    code, blocks = code_digest(), list(_blocks(seeds, law_seeds))[::every]
+    code, blocks = code_digest("budgets"), list(_blocks(seeds, law_seeds))[::every]
     with Progress("frontier pipeline: budgets") as shown:
         for done, (kind, name, count, contacts) in enumerate(blocks):
             shown(done, len(blocks), name)

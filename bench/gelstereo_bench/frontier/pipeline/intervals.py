@@ -35,7 +35,10 @@ def wilson(successes: int, runs: int) -> Interval:
     spread = _Z**2 / runs
     middle = (rate + 0.5 * spread) / (1.0 + spread)
     half = _Z / (1.0 + spread) * np.sqrt(rate * (1.0 - rate) / runs + 0.25 * spread / runs)
-    return Interval(rate, max(0.0, float(middle - half)), min(1.0, float(middle + half)))
+    # The interval contains the rate; at 0 and 1 its end equals it, but for rounding.
+    return Interval(
+        rate, min(rate, max(0.0, float(middle - half))), max(rate, min(1.0, float(middle + half)))
+    )
 
 
 def bootstrap(

@@ -8,37 +8,39 @@ import json
 from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, Literal
 
 import gelstereo
 from gelstereo import Error
 
-__all__ = ["Kept", "code_digest", "key_of"]
+__all__ = ["Kept", "Stage", "code_digest", "key_of"]
+
+Stage = Literal["sensing", "locating", "budgets"]
 
 _HERE = Path(__file__).parent
-#: Files that measure; those that only summarise and draw leave results valid.
-_MEASURING = (
+_SENSING = (
     "cases.py",
     "simulated.py",
     "traced.py",
     "sensors.py",
     "sensing.py",
-    "locators.py",
-    "locating.py",
     "../baseline.py",
     "../baseline_fast.py",
-    "../grasps.py",
-    "../registering.py",
-    "../rivals.py",
     "../scenes.py",
 )
+#: Files that measure, by stage; those that only summarise and draw leave results valid.
+_MEASURING: Mapping[Stage, tuple[str, ...]] = {
+    "sensing": _SENSING,
+    "locating": (*_SENSING, "locators.py", "locating.py", "../registering.py", "../rivals.py"),
+    "budgets": ("budgets.py", "../grasps.py", "../scenes.py"),
+}
 
 
-def code_digest() -> str:
-    """SHA-256 over the compiled package and the files that measure."""
+def code_digest(stage: Stage) -> str:
+    """SHA-256 over the compiled package and the files that measure a stage."""
     found = hashlib.sha256()
     compiled = sorted(Path(gelstereo.__path__[0]).glob("_native*"))
-    for path in (*(_HERE / name for name in _MEASURING), *compiled):
+    for path in (*(_HERE / name for name in _MEASURING[stage]), *compiled):
         found.update(hashlib.sha256(path.read_bytes()).digest())
     return found.hexdigest()
 

@@ -19,6 +19,9 @@ __all__ = ["Combination", "Sensed", "combined"]
 
 Array = npt.NDArray[np.float64]
 
+#: A pose of another library may scale lengths by this share: 1 um at 10 mm, below every error in question.
+_RIGID = 1e-4
+
 
 @dataclass(frozen=True)
 class Sensed:
@@ -108,6 +111,24 @@ def _rival(method: Method) -> Locate:
 
     def locate(sensed: Sensed, body: Body, guess: Array) -> Array:
         cloud = (sensed.patch_mm, np.empty((0, 3, 3)), none, none)
-        return np.asarray(method(Grasp(body.name, body.mesh, body.template, *cloud, guess), guess))
+        return _rigid(method(Grasp(body.name, body.mesh, body.template, *cloud, guess), guess))
 
     return locate
+
+
+def _rigid(pose: Array) -> Array:
+    """The nearest rigid motion, because some libraries calculate in single precision.
+
+    Raises
+    ------
+    ValueError
+        The pose is far from rigid or not finite.
+    """
+    pose = np.array(pose, np.float64)
+    if not np.all(np.isfinite(pose)):
+        raise ValueError("the pose is not finite")
+    u, scales, v = np.linalg.svd(pose[:3, :3])
+    if np.abs(scales - 1.0).max() > _RIGID or np.linalg.det(u @ v) < 0.0:
+        raise ValueError(f"the pose scales lengths by {scales} or reflects")
+    pose[:3, :3] = u @ v
+    return pose

@@ -10,7 +10,7 @@ from typing import Any
 from gelstereo.progress import Progress
 from gelstereo_bench.frontier.pipeline.cases import Case, Origin, Take
 from gelstereo_bench.frontier.pipeline.front import is_near_front
-from gelstereo_bench.frontier.pipeline.kept import Kept, code_digest, key_of
+from gelstereo_bench.frontier.pipeline.kept import Kept, Stage, code_digest, key_of
 from gelstereo_bench.frontier.pipeline.locating import measure_locating
 from gelstereo_bench.frontier.pipeline.locators import Combination, combined
 from gelstereo_bench.frontier.pipeline.sensing import Record, measure_sensing
@@ -96,7 +96,7 @@ def _digest(params: Any) -> str:
 
 def _blocks(
     kept: Kept,
-    stage: str,
+    stage: Stage,
     cases: Sequence[Case],
     extent: Extent,
     settings: Mapping[str, str],
@@ -107,7 +107,7 @@ def _blocks(
     All methods of a scene and seed are one result, because they take turns and their times are compared.
     """
     blocks = [(case, seed) for case in cases for seed in extent.of(case.origin)]
-    code = code_digest()
+    code = code_digest(stage)
     found: dict[str, list[Mapping[str, Record]]] = defaultdict(list)
     with Progress(f"frontier pipeline: {stage}") as shown:
         for done, (case, seed) in enumerate(blocks):
