@@ -18,6 +18,8 @@ import gelstereo
 from gelstereo.geometry import se3_exp
 from gelstereo_bench.frontier.page import check_page
 from gelstereo_bench.frontier.pipeline import budgets, locators, study, topic
+from gelstereo_bench.frontier.pipeline.budget_report import lost_and_won, time_share
+from gelstereo_bench.frontier.pipeline.budgets import Budget
 from gelstereo_bench.frontier.pipeline.cases import Case, Take
 from gelstereo_bench.frontier.pipeline.front import is_near_front, is_on_front
 from gelstereo_bench.frontier.pipeline.intervals import Interval, bootstrap, wilson
@@ -297,6 +299,18 @@ def test_names_are_given_to_presets_and_to_steps_of_the_front() -> None:
     on_front = {each.name for each, flag in zip(points, front_of(points), strict=True) if flag}
     assert on_front == {"fast", "hardly better", "preset", "best"}
     assert [each.name for each in named_of(points)] == ["fast", "preset", "best"]
+    # What differs from a preset by chance alone is not named besides it.
+    alike = [*points, point("like the preset", 6.9, 3.99)]
+    assert front_of(alike)[-1] and [each.name for each in named_of(alike)] == ["fast", "preset", "best"]
+
+
+def test_budgets_are_compared_by_pairs() -> None:
+    usual = Budget(success=[True, True, False, True], ms=[10.0, 20.0, 30.0, 40.0])
+    other = Budget(success=[True, False, True, False], ms=[5.0, 10.0, 15.0, 80.0])
+    assert lost_and_won(other, usual) == (2, 1) and lost_and_won(usual, usual) == (0, 0)
+    assert time_share(other, usual) == 0.5 and time_share(usual, usual) == 1.0
+    # A refused search has no time, so pairs cannot be told.
+    assert np.isnan(time_share(Budget(success=[False], ms=[]), usual))
 
 
 # The topic
@@ -346,9 +360,13 @@ def test_the_topic_fills_its_page_and_resumes(tiny: Path, monkeypatch: pytest.Mo
     run_pipeline(tiny, results, TINY)
     assert len(measured) == 5
     stages = [json.loads(line)["stage"] for line in (results / "pipeline.jsonl").read_text().splitlines()]
-    assert stages == 2 * ["sensing"] + 2 * ["locating"] + 2 * ["budgets"]
+    assert stages == 2 * ["sensing"] + 2 * ["locating"] + 3 * ["budgets"]
     check_page(page, PIPELINE_SECTIONS)
     text = page.read_text()
-    assert "**preset fast**" in text and "| 370000 |" in text and "Open3D (open3d is not / installed)" in text
+    assert (
+        "**preset fast**" in text
+        and "| 370000 (default) |" in text
+        and "Open3D (open3d is not / installed)" in text
+    )
     for name in ("price-of-accuracy.png", "search-budget.png"):
         assert (tiny / "pictures" / name).stat().st_size > 20_000

@@ -1,4 +1,4 @@
-"""Success, error and time of the search over its budget: what a robot's default is chosen from."""
+"""Success, error and time of the search over its budget."""
 
 from __future__ import annotations
 
@@ -6,30 +6,26 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cache, partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from gelstereo import Error, Params
-from gelstereo.extras import needs
 from gelstereo.progress import Progress
 from gelstereo_bench.frontier.grasps import GRASPED, NOISES, STARTS, Grasp, Noise, Press, grasps
 from gelstereo_bench.frontier.pipeline.intervals import Interval, wilson
 from gelstereo_bench.frontier.pipeline.kept import Kept, code_digest, key_of
-from gelstereo_bench.frontier.table import Table, figure
 
-with needs(__name__):
-    import matplotlib
-
-__all__ = ["BUDGETS", "Budget", "budget_table", "draw_budgets", "measure_budgets"]
+__all__ = ["BUDGETS", "NEAR", "OTHER_LAWS", "SIMULATED", "Budget", "measure_budgets"]
 
 #: In work units of the search, as the setting.
 BUDGETS = (60_000, 80_000, 100_000, 120_000, 150_000, 200_000, 240_000, 370_000, 1_000_000)
 #: Contact seeds; those of docs/localization.md and of the tables of covariance are others.
 _FIRST_SEED = 30_000
 #: Whose contacts they are.
-SIMULATED, OTHER_LAWS = "simulated gel", "gels of other laws"
+SIMULATED, NEAR, OTHER_LAWS = "simulated gel", "the same, near guesses", "gels of other laws"
+#: Search radius for guesses off by up to 5 mm, and for near ones: the default, mm.
+_FAR_MM, _NEAR_MM = 8.0, 3.0
 
 
 @dataclass
@@ -79,7 +75,7 @@ def measure_budgets(kept: Kept, seeds: int, law_seeds: int, every: int = 1) -> d
     dict
         Results by kind of contacts and budget.
     """
-    found = {kind: {budget: Budget() for budget in BUDGETS} for kind in (SIMULATED, OTHER_LAWS)}
+    found = {kind: {budget: Budget() for budget in BUDGETS} for kind in (SIMULATED, NEAR, OTHER_LAWS)}
     code, blocks = code_digest("budgets"), list(_blocks(seeds, law_seeds))[::every]
     with Progress("frontier pipeline: budgets") as shown:
         for done, (kind, name, count, contacts) in enumerate(blocks):
@@ -88,7 +84,7 @@ def measure_budgets(kept: Kept, seeds: int, law_seeds: int, every: int = 1) -> d
             key = key_of({**about, "code": code, "budgets": BUDGETS, "kind": kind})
             records = kept.get(key)
             if records is None:
-                records = _run(contacts())
+                records = _run(contacts(), kind)
                 kept.add(key, about, records)
             for budget in BUDGETS:
                 found[kind][budget].extend(records[str(budget)])
@@ -103,7 +99,9 @@ def _blocks(seeds: int, law_seeds: int) -> Iterator[_Block]:
     """Kind, name and number of contacts of every block, and a function that makes them."""
     for press in GRASPED:
         for noise in NOISES:
-            yield SIMULATED, f"{press.name}, {noise.name}", seeds, partial(_pressed, press, noise, seeds)
+            make = partial(_pressed, press, noise, seeds)
+            for kind in (SIMULATED, NEAR):
+                yield kind, f"{press.name}, {noise.name}", seeds, make
     for law, part in _laws() if law_seeds else ():
         yield OTHER_LAWS, f"{law}, {part}", law_seeds, partial(_of_law, law, part, law_seeds)
 
@@ -144,12 +142,14 @@ def _stored() -> list[Any]:
     return list(contacts("w"))
 
 
-def _run(contacts: Sequence[Grasp]) -> dict[str, dict[str, list[Any]]]:
-    usual = Params.preset("balanced").replace({"register.advanced.search_radius_mm": 8.0})
+def _run(contacts: Sequence[Grasp], kind: str) -> dict[str, dict[str, list[Any]]]:
+    """Near guesses are those off by up to 5 degrees and 1 mm; the others are off by up to 30 and 5 as well."""
+    starts, radius_mm = (STARTS[:1], _NEAR_MM) if kind == NEAR else (STARTS, _FAR_MM)
+    usual = Params.preset("balanced").replace({"register.advanced.search_radius_mm": radius_mm})
     params = {b: usual.replace({"register.surface_search.budget": b}) for b in BUDGETS}
     results = {budget: Budget() for budget in BUDGETS}
     for turn, grasp in enumerate(contacts):
-        for start in STARTS:
+        for start in starts:
             guess = grasp.guess(start, turn)
             for k in range(len(BUDGETS)):
                 budget = BUDGETS[(k + turn) % len(BUDGETS)]
@@ -172,65 +172,3 @@ def _search(grasp: Grasp, guess: Any, params: Params, result: Budget) -> None:
     if score.success:
         result.squared.append(score.squared)
         result.directions.append(score.observable)
-
-
-# Table and figure
-
-
-def budget_table(found: dict[str, dict[int, Budget]]) -> Table:
-    """One row for each budget."""
-    rows = []
-    for budget in BUDGETS:
-        row = [f"{budget}"]
-        for kind in found:
-            result = found[kind][budget]
-            rate = result.rate
-            row += [
-                f"{100 * rate.value:.1f} ({100 * rate.low:.1f} to {100 * rate.high:.1f})",
-                figure(result.over_bound),
-            ]
-        own = found[SIMULATED][budget]
-        row += [f"{100 * np.mean(own.converged):.0f}", f"{100 * np.mean(own.cut):.0f}"]
-        row += [f"{np.median(own.ms):.1f}", f"{np.percentile(own.ms, 99):.1f}"]
-        rows.append(row)
-    head = ["budget"]
-    for kind in found:
-        head += [f"success, {kind}, %", "over the bound"]
-    return Table(
-        "front-budgets", [*head, "converged, %", "may have more answers, %", "median ms", "p99 ms"], rows
-    )
-
-
-def draw_budgets(path: Path, found: dict[str, dict[int, Budget]]) -> None:
-    """Plot success over the median time, one line for each kind of contacts, every point a budget."""
-    matplotlib.use("Agg")
-    with needs(__name__):
-        from matplotlib import pyplot as plt
-
-    usual = Params().to_dict()["register"]["surface_search"]["budget"]
-    drawing, axis = plt.subplots(figsize=(11, 6.2), layout="constrained")
-    for (kind, results), colour, marker in zip(found.items(), ("#0072B2", "#D55E00"), "o^", strict=True):
-        rates = [100.0 * np.array([r.rate.value, r.rate.low, r.rate.high]) for r in results.values()]
-        if not any(r.success for r in results.values()):
-            continue
-        values, low, high = np.transpose(rates)
-        ms = [float(np.median(r.ms)) for r in results.values()]
-        bars = [values - low, high - values]
-        axis.errorbar(ms, values, yerr=bars, fmt=f"{marker}-", color=colour, capsize=3, label=kind)
-        for budget, at_ms, value in zip(results, ms, values, strict=True):
-            axis.annotate(
-                f"{budget // 1000} 000" + (" (default)" if budget == usual else ""),
-                (at_ms, value),
-                xytext=(5, -13),
-                textcoords="offset points",
-                fontsize=8,
-                color=colour,
-            )
-    axis.axvline(5.0, color="0.5", linestyle=":")
-    axis.annotate("asked: 5 ms", (5.0, 0.02), xycoords=("data", "axes fraction"), color="0.4", fontsize=9)
-    axis.set(xlabel="median time of one search, ms", ylabel="success, %")
-    axis.set_title("success of surface_search over its budget")
-    axis.grid(alpha=0.3)
-    axis.legend(loc="lower right")
-    drawing.savefig(path, dpi=90)
-    plt.close(drawing)

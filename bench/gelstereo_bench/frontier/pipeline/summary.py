@@ -33,8 +33,11 @@ _BRIEF = (
     ("000000", "M"),
     ("0000", "0k"),
 )
-#: A point of the front is named if it is better by this share than the one named before it.
-_GAIN = 0.1
+#: A point of the front is named if it is better by this share than the one named before it. Medians of pose
+#: errors have intervals of 20 % and more.
+_GAIN = 0.2
+#: A time counts as equal above this share of another, and an error below this share.
+_FASTER, _EQUAL = 0.9, 1.05
 
 
 @dataclass(frozen=True)
@@ -78,13 +81,19 @@ def named_of(points: Sequence[Point]) -> list[Point]:
     """Points that table and picture name, by time.
 
     They are the presets, the paper's method, the other libraries, and points of the front that are at least
-    10 % better than the one named before; finer steps are within the chance of repeated runs.
+    20 % better than the one named before, unless a preset is equal to them within the chance of repeated
+    runs.
     """
+    presets = [point for point in points if point.presets]
     found, best = [], np.inf
     for point, is_front in sorted(zip(points, front_of(points), strict=True), key=lambda each: each[0].ms):
-        is_step = is_front and point.error.value < (1.0 - _GAIN) * best
-        if is_step:
-            best = point.error.value
+        is_equal = any(
+            preset.ms < point.ms / _FASTER and preset.error.value < _EQUAL * point.error.value
+            for preset in presets
+        )
+        is_step = is_front and not is_equal and point.error.value < (1.0 - _GAIN) * best
+        if point.presets or is_step:
+            best = min(best, point.error.value)
         if is_step or point.presets or point.family in ("paper", "peer"):
             found.append(point)
     return found

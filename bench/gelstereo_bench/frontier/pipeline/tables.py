@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from gelstereo_bench.frontier.pipeline.cases import Case, Origin
+from gelstereo_bench.frontier.pipeline.intervals import Interval
 from gelstereo_bench.frontier.pipeline.sensors import sensing_preset
 from gelstereo_bench.frontier.pipeline.study import Study
 from gelstereo_bench.frontier.pipeline.summary import (
@@ -76,9 +77,18 @@ def _listed(points: Sequence[Point]) -> list[tuple[Point, bool]]:
 
 
 def _name(point: Point, is_on_front: bool) -> str:
+    if not np.isfinite(point.error.value):
+        return f"{point.name} (refuses every scene)"
     presets = f"**preset {', '.join(point.presets)}**: " if point.presets else ""
     name = "preset paper" if point.family == "paper" else point.name
     return f"{presets}{name}" + (" (front)" if is_on_front else "")
+
+
+def _with_interval(error: Interval, unit: float) -> str:
+    """A value with its interval, multiplied by `unit`; a dash without a value."""
+    if not np.isfinite(error.value):
+        return "-"
+    return f"{figure(unit * error.value)} ({figure(unit * error.low)} to {figure(unit * error.high)})"
 
 
 def _depth_table(origin: Origin, cases: Sequence[Case], points: Sequence[Point], study: Study) -> Table:
@@ -87,12 +97,11 @@ def _depth_table(origin: Origin, cases: Sequence[Case], points: Sequence[Point],
     for point, flag in _listed(points):
         scores = [f1(methods[point.name], case, study.sensing) for case in cases]
         known = [score for score in scores if np.isfinite(score)]
-        interval = point.error
         rows.append(
             [
                 _name(point, flag),
                 figure(point.ms),
-                f"{figure(interval.value)} ({figure(interval.low)} to {figure(interval.high)})",
+                _with_interval(point.error, 1.0),
                 *(figure(point.by_scene[case.name][0]) for case in cases),
                 f"{np.mean(known):.2f}" if known else "-",
             ]
@@ -106,7 +115,7 @@ def _pose_table(origin: Origin, points: Sequence[Point], missing: Mapping[str, s
     rows = []
     for point, flag in _listed(points):
         assert point.success is not None
-        rate, error = point.success, point.error
+        rate = point.success
         cells = []
         for scene in scenes:
             error_mm, share = point.by_scene[scene]
@@ -115,7 +124,7 @@ def _pose_table(origin: Origin, points: Sequence[Point], missing: Mapping[str, s
             [
                 _name(point, flag),
                 figure(point.ms),
-                f"{figure(1e3 * error.value)} ({figure(1e3 * error.low)} to {figure(1e3 * error.high)})",
+                _with_interval(point.error, 1e3),
                 f"{100 * rate.value:.0f} ({100 * rate.low:.0f} to {100 * rate.high:.0f})",
                 *cells,
             ]

@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from gelstereo_bench.frontier.page import check_page, fill_page
-from gelstereo_bench.frontier.pipeline.budgets import budget_table, draw_budgets, measure_budgets
+from gelstereo_bench.frontier.pipeline.budget_report import budget_table, draw_budgets
+from gelstereo_bench.frontier.pipeline.budgets import measure_budgets
 from gelstereo_bench.frontier.pipeline.kept import Kept
 from gelstereo_bench.frontier.pipeline.picture import draw_front
 from gelstereo_bench.frontier.pipeline.sensors import sensing_methods
