@@ -143,7 +143,7 @@ def _stored() -> list[Any]:
 
 
 def _run(contacts: Sequence[Grasp], kind: str) -> dict[str, dict[str, list[Any]]]:
-    """Near guesses are those off by up to 5 degrees and 1 mm; the others are off by up to 30 and 5 as well."""
+    """Near guesses are off by up to 5 degrees and 1 mm; others by up to 10 and 2, and 30 and 5, as well."""
     starts, radius_mm = (STARTS[:1], _NEAR_MM) if kind == NEAR else (STARTS, _FAR_MM)
     usual = Params.preset("balanced").replace({"register.advanced.search_radius_mm": radius_mm})
     params = {b: usual.replace({"register.surface_search.budget": b}) for b in BUDGETS}
