@@ -103,9 +103,11 @@ experiment: prerequisites $(BIN)/python
 	$(BIN)/pip install --quiet . ./bench
 	$(BIN)/gelstereo experiment $(WORDS)
 
+# `make frontier TOPIC=pipeline` measures whole pipelines, also on the pairs of bench/outside.
+TOPIC ?= sensing
 frontier: prerequisites $(BIN)/python
 	$(BIN)/pip install --quiet . ./bench
-	$(BIN)/gelstereo frontier
+	PYTHONPATH=bench $(BIN)/gelstereo frontier $(TOPIC)
 
 # The documentation as a site in out/site; a broken link or anchor fails. `python -m http.server -d out/site` serves it.
 docs: export NO_MKDOCS_2_WARNING = 1

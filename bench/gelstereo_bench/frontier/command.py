@@ -10,6 +10,7 @@ from pathlib import Path
 
 import cv2
 
+from gelstereo import Error
 from gelstereo.cli.options import count
 from gelstereo_bench.frontier.boards import measure_boards
 from gelstereo_bench.frontier.building import measure_building
@@ -27,7 +28,7 @@ from gelstereo_bench.frontier.page import (
     check_page,
     row_tables,
     write_page,
-    write_table,
+    write_tables,
 )
 from gelstereo_bench.frontier.registering import measure_registration
 from gelstereo_bench.frontier.saliency import measure_saliency
@@ -47,7 +48,6 @@ from gelstereo_bench.frontier.table import Report, Table, Target
 from gelstereo_bench.frontier.timing import InstructionCounter
 from gelstereo_bench.frontier.tracking import measure_tracking
 from gelstereo_bench.frontier.tuning import SCENES, measure_tuning
-from gelstereo_bench.reports.markdown import replace_between, table
 
 __all__ = ["EXAMPLES", "add_arguments", "run"]
 
@@ -57,6 +57,8 @@ EXAMPLES = """examples:
   gelstereo frontier cost                instructions over image size and markers: the model of deadlines
   gelstereo frontier deadlines           how often deadlines are kept beside another process
   gelstereo frontier tuning              the tuner beside exhaustive search and Optuna: docs/tuning.md
+  gelstereo frontier pipeline            whole pipelines beside other libraries: the picture of the price of
+                                         accuracy; goes on where it was interrupted
   gelstereo frontier --quick --docs out  a few rounds, to see that all methods run
 """
 
@@ -66,7 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "topic",
         nargs="?",
-        choices=("sensing", "localization", "cost", "deadlines", "tuning"),
+        choices=("sensing", "localization", "pipeline", "cost", "deadlines", "tuning"),
         default="sensing",
         help="what is measured",
     )
@@ -74,6 +76,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--quick", action="store_true", help="few rounds and starts: figures mean little")
     parser.add_argument("--rounds", type=count, help="rounds of timing (default 200, quick 3)")
     parser.add_argument("--starts", type=count, help="starts of registration per part (default 64, quick 4)")
+    parser.add_argument(
+        "--results",
+        type=Path,
+        default=Path("out/frontier"),
+        help="folder where the topic pipeline keeps finished measurements",
+    )
     parser.add_argument(
         "--no-instructions",
         action="store_true",
@@ -89,6 +97,8 @@ def run(arguments: argparse.Namespace) -> int:
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
+        if arguments.topic == "pipeline":
+            return _pipeline(arguments)
         if arguments.topic == "localization":
             return _localization(arguments, rounds, starts)
         if arguments.topic == "cost":
@@ -133,8 +143,7 @@ def _cost(arguments: argparse.Namespace) -> int:
     check_page(page, ("cost", "cost-times"))
     samples = measure_costs(Path.cwd(), _report, arguments.quick)
     cost = fit_costs(samples)
-    write_table(page, cost_table(samples, cost))
-    write_table(page, time_table(samples, cost))
+    write_tables(page, cost_table(samples, cost), time_table(samples, cost))
     print(f"wrote {page}; for crates/gelstereo-core/src/pipeline/work.rs:\n{rust_lines(cost)}")
     return 0
 
@@ -143,7 +152,7 @@ def _deadlines(arguments: argparse.Namespace) -> int:
     page = arguments.docs / "accuracy-vs-time.md"
     check_page(page, ("deadlines",))
     found = measure_deadlines(500 if arguments.quick else 100_000, _report)
-    write_table(page, deadline_table(found))
+    write_tables(page, deadline_table(found))
     late = [kept for kept in found if kept.late_share > 0.001]
     print(f"wrote {page}; {len(found) - len(late)} of {len(found)} deadlines kept in 99.9 % of the frames")
     return 0
@@ -152,8 +161,22 @@ def _deadlines(arguments: argparse.Namespace) -> int:
 def _tuning(page: Path, is_quick: bool) -> int:
     check_page(page, ["tuning"])
     found = measure_tuning(_report, SCENES[:1] if is_quick else SCENES, seeds=1 if is_quick else 5)
-    replace_between(page, found.name, table(found.head, found.rows))
+    write_tables(page, found)
     print(f"wrote {page}")
+    return 0
+
+
+def _pipeline(arguments: argparse.Namespace) -> int:
+    # Imported here, because other topics need none of it.
+    from gelstereo_bench.frontier.pipeline.topic import FULL, QUICK, run_pipeline
+
+    if arguments.rounds or arguments.starts:
+        raise Error(
+            "--rounds and --starts do not apply to the topic pipeline, which has fixed seeds and guesses; "
+            "--quick measures fewer"
+        )
+    page = run_pipeline(arguments.docs, arguments.results, QUICK if arguments.quick else FULL)
+    print(f"wrote {page} and its pictures; {arguments.results} holds the measurements")
     return 0
 
 

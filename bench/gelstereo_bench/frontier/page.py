@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from gelstereo_bench.frontier.scenes import CONDITIONS
@@ -14,7 +14,15 @@ from gelstereo_bench.frontier.table import Table, Target
 from gelstereo_bench.reports.markdown import ReportError, replace_between, table
 from gelstereo_bench.reports.provenance import processor
 
-__all__ = ["LOCALIZATION_SECTIONS", "SECTIONS", "check_page", "row_tables", "write_page", "write_table"]
+__all__ = [
+    "LOCALIZATION_SECTIONS",
+    "SECTIONS",
+    "check_page",
+    "fill_page",
+    "row_tables",
+    "write_page",
+    "write_tables",
+]
 
 #: Names of the markers of docs/localization.md.
 LOCALIZATION_SECTIONS = ("conditions", "targets", "localization", "near", "budgets", "parts", "nees")
@@ -63,25 +71,29 @@ def check_page(page: Path, sections: Sequence[str] = SECTIONS) -> None:
 def write_page(
     page: Path, tables: Sequence[Table], targets: Sequence[Target], rounds: int, conditions: str = CONDITIONS
 ) -> None:
-    """Fill all of the page's tables or none, so that a page is never half written."""
+    """Fill all of the page's tables or none, with conditions and targets."""
+    said = (
+        f"All figures: {conditions}. Times: one thread, {processor()}, {rounds} rounds in which all "
+        f"methods take turns; {_load()}."
+    )
+    head = ["what", "target", "measured", "met"]
+    texts = {"conditions": said, "targets": table(head, [target.line() for target in targets])}
+    fill_page(page, texts | {part.name: table(part.head, part.rows) for part in tables})
+
+
+def fill_page(page: Path, texts: Mapping[str, str]) -> None:
+    """Put texts between the markers of their names; all or none, so that a page is never half written."""
     with tempfile.TemporaryDirectory(dir=page.parent) as folder:
         draft = Path(folder) / page.name
         shutil.copy(page, draft)
-        said = (
-            f"All figures: {conditions}. Times: one thread, {processor()}, {rounds} rounds in which all "
-            f"methods take turns; {_load()}."
-        )
-        replace_between(draft, "conditions", said)
-        head = ["what", "target", "measured", "met"]
-        replace_between(draft, "targets", table(head, [target.line() for target in targets]))
-        for part in tables:
-            replace_between(draft, part.name, table(part.head, part.rows))
+        for name, text in texts.items():
+            replace_between(draft, name, text)
         os.replace(draft, page)
 
 
-def write_table(page: Path, part: Table) -> None:
-    """Fill one table of a page."""
-    replace_between(page, part.name, table(part.head, part.rows))
+def write_tables(page: Path, *tables: Table) -> None:
+    """Fill some tables of a page."""
+    fill_page(page, {part.name: table(part.head, part.rows) for part in tables})
 
 
 def row_tables(rows: Sequence[Row]) -> list[Table]:

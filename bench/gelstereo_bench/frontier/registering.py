@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -73,6 +74,27 @@ class Patch:
         motion = se3_exp(np.concatenate([np.deg2rad(_START_DEG) * turn, _START_MM * move]))
         return np.asarray(centre @ motion @ np.linalg.inv(centre) @ self.t_sensor_object, np.float64)
 
+    @cached_property
+    def radius_mm(self) -> float:
+        """Root mean square distance of the points from their centroid."""
+        lever = self.points_mm - self.points_mm.mean(axis=0)
+        return float(np.sqrt(np.mean(np.sum(lever**2, axis=1))))
+
+    @cached_property
+    def determined(self) -> Array:
+        """(6, K) orthonormal directions, rotation before translation, that the contact determines.
+
+        Rotations are about the centroid and scaled by the patch's radius.
+        """
+        lever = self.points_mm - self.points_mm.mean(axis=0)
+        pose = self.t_sensor_object
+        true_points = self.template.points_mm @ pose[:3, :3].T + pose[:3, 3]
+        nearest = cKDTree(true_points).query(self.points_mm)[1]
+        normals = self.template.normals[nearest] @ pose[:3, :3].T
+        rows = np.column_stack([np.cross(lever, normals) / self.radius_mm, normals])
+        values, vectors = np.linalg.eigh(rows.T @ rows / len(rows))
+        return np.asarray(vectors[:, np.sqrt(np.maximum(values, 0.0)) > _OBSERVABLE])
+
 
 def observable_error_mm(patch: Patch, found: Array) -> float:
     """Rms error over the directions that the contact determines, mm.
@@ -80,20 +102,11 @@ def observable_error_mm(patch: Patch, found: Array) -> float:
     The error twist about the patch's centroid, with rotation scaled by the patch's radius, is projected on
     the directions in which the true surface under the patch moves along its normals.
     """
-    centre_mm = patch.points_mm.mean(axis=0)
-    lever = patch.points_mm - centre_mm
-    radius_mm = float(np.sqrt(np.mean(np.sum(lever**2, axis=1))))
-    true_points = patch.template.points_mm @ patch.t_sensor_object[:3, :3].T + patch.t_sensor_object[:3, 3]
-    nearest = cKDTree(true_points).query(patch.points_mm)[1]
-    normals = patch.template.normals[nearest] @ patch.t_sensor_object[:3, :3].T
-    rows = np.column_stack([np.cross(lever, normals) / radius_mm, normals])
-    values, vectors = np.linalg.eigh(rows.T @ rows / len(rows))
-    observable = vectors[:, np.sqrt(np.maximum(values, 0.0)) > _OBSERVABLE]
     to_centre = np.eye(4)
-    to_centre[:3, 3] = -centre_mm
+    to_centre[:3, 3] = -patch.points_mm.mean(axis=0)
     twist = se3_log(to_centre @ found @ np.linalg.inv(patch.t_sensor_object) @ np.linalg.inv(to_centre))
-    scaled = np.concatenate([twist[:3] * radius_mm, twist[3:]])
-    along = observable.T @ scaled
+    scaled = np.concatenate([twist[:3] * patch.radius_mm, twist[3:]])
+    along = patch.determined.T @ scaled
     return float(np.sqrt(np.mean(along**2)))
 
 
