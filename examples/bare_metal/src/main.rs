@@ -51,7 +51,7 @@ fn main() -> ! {
 
 #[panic_handler]
 fn panic(info: &core::panic::PanicInfo<'_>) -> ! {
-    println!("{info}");
+    println!("{info}; {} bytes of the heap were in use at most", HEAP.used().peak_bytes);
     process::exit(1)
 }
 

@@ -9,8 +9,8 @@ use gelstereo_core::pipeline::{Frame, Pipeline};
 /// A result, or an error to print.
 pub type Outcome<T> = Result<T, Box<dyn core::error::Error>>;
 
-/// Frames that are sensed. The map from pixels to points is fitted in steps over the first ones, so that later
-/// ones take less work.
+/// Frames that are sensed. The map from pixels to points is fitted in steps over the first ones, so that
+/// later ones take less work.
 pub const FRAMES: usize = 16;
 
 /// Image pairs: at rest, then pressed deeper and deeper.

@@ -1,7 +1,7 @@
 //! What differs between processors: the start, and a counter of instructions.
 //!
-//! With QEMU's `-icount shift=0` an instruction takes one nanosecond of the emulated clock. A timer of the board
-//! then counts instructions, to within one period of its clock.
+//! With QEMU's `-icount shift=0` an instruction takes one nanosecond of the emulated clock. A timer of the
+//! board then counts instructions, to within one period of its clock.
 
 #[cfg(target_arch = "aarch64")]
 mod aarch64;
