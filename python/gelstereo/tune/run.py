@@ -33,9 +33,9 @@ __all__ = ["conditions_of", "laboratory_of", "tune"]
 #: the time of exhaustive search, 8 candidates 0.2 %; neither lowers the regret on `grasp_cylinder` and
 #: `usb_plug` (eight takes, 21 goals).
 RUNG_TAKES, CANDIDATES = 1, 6
-#: Settings that are better by the first share are verified, too, if they are predicted to miss the goal by at
-#: most the second, the scatter of errors between takes; so many at most. On the same goals, 0, 4 and 8 of them
-#: leave a largest regret of 49, 4 and 2 %.
+#: Settings that are better by the first share are verified, too, if they are predicted to miss the goal by
+#: at most the second, the scatter of errors between takes; so many at most. On the same goals, 0, 4 and 8 of
+#: them leave a largest regret of 49, 4 and 2 %.
 _WORTHWHILE, _ERROR_SCATTER, _DOUBTED = 0.05, 0.1, 8
 
 
@@ -102,9 +102,9 @@ def tune(laboratory: Laboratory, goal: Goal) -> Tuned:
 
     Each rung is measured once; the front of time and error follows by dynamic programming. The points of the
     front that are nearest to the goal are verified by successive halving. If the best of them does not do
-    what was predicted, its rungs are measured on all takes, and the front is predicted anew. Better points that
-    are predicted to miss the goal by little are measured as well. The result is checked on frames that were
-    held out.
+    what was predicted, its rungs are measured on all takes, and the front is predicted anew. Better points
+    that are predicted to miss the goal by little are measured as well. The result is checked on frames that
+    were held out.
 
     Parameters
     ----------
@@ -189,7 +189,7 @@ def _verified(laboratory: Laboratory, goal: Goal, candidates: Sequence[Setting])
 
 
 def _doubted(goal: Goal, front: Sequence[tuple[Setting, Outcome]], cost: float) -> list[Setting]:
-    """Settings that would be better, but are predicted to miss the goal by hardly more than errors scatter."""
+    """Settings that would be better, and are predicted to miss the goal by no more than errors scatter."""
     better = [
         (goal.excess(outcome), goal.cost(outcome), number)
         for number, (_, outcome) in enumerate(front)
