@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from gelstereo_bench.frontier.pipeline.cases import Case, Origin
+from gelstereo_bench.frontier.pipeline.front import is_near_front
 from gelstereo_bench.frontier.pipeline.intervals import Interval
 from gelstereo_bench.frontier.pipeline.sensors import sensing_preset
 from gelstereo_bench.frontier.pipeline.study import Study
@@ -163,14 +164,23 @@ def _presets_table(depth: Points, poses: Points) -> Table:
     rows = []
     for title, groups in (("depth", depth), ("pose", poses)):
         for origin, points in groups.items():
-            flags = front_of(points)
-            for point, flag in zip(points, flags, strict=True):
+            for point, said in zip(points, _on_front(points), strict=True):
                 if not (point.presets or point.family == "paper"):
                     continue
                 name = ", ".join(point.presets) or "paper"
-                rows.append([name, f"{title}, {origin}", "yes" if flag else "no", *_rival(point, points)])
+                rows.append([name, f"{title}, {origin}", said, *_rival(point, points)])
     head = ["preset", "error", "on the front", "as accurate in less time", "time, share of the preset's"]
     return Table("front-presets", head, sorted(rows, key=lambda row: (row[0], row[1])))
+
+
+def _on_front(points: Sequence[Point]) -> list[str]:
+    """Whether each method is on the front, up to the chance of repeated runs."""
+    errors = [point.error.value if point.is_complete else np.inf for point in points]
+    near = is_near_front([point.ms for point in points], errors, gain=1.0 - _FASTER, tolerance=_EQUAL - 1.0)
+    return [
+        "yes" if is_near else "by chance" if is_on else "no"
+        for is_near, is_on in zip(near, front_of(points), strict=True)
+    ]
 
 
 def _rival(point: Point, points: Sequence[Point]) -> tuple[str, str]:
