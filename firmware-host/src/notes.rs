@@ -6,8 +6,8 @@ use crate::sensing::{Action, Sensing, SensingError};
 use gelstereo_core::register::{Registration, TrackingStatus};
 use gelstereo_core::track::MarkerState;
 
-/// Note for the topic `/gelstereo/frame`: figures and digest of a frame, or the error; with a deadline also the
-/// limit of work and whether a cheaper method was used.
+/// Note for the topic `/gelstereo/frame`: figures and digest of a frame, or the error; with a deadline also
+/// the limit of work and whether a cheaper method was used.
 #[must_use]
 pub fn frame_note(sensed: &Result<(), SensingError>, sensing: &Sensing) -> serde_json::Value {
     let mut note = match sensed {

@@ -121,7 +121,7 @@ fn a_ring_keeps_what_its_replay_needs() {
     assert!(report.to_string().contains("begins in the middle of a run"), "{report}");
 }
 
-/// The recorded limits of work decide, not a clock: deadlines that leave the cheapest methods, and some between.
+/// The recorded limits of work decide, not a clock.
 #[test]
 fn a_run_with_deadlines_is_computed_again_bit_by_bit() {
     let folder = tempfile::tempdir().unwrap();

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import gelstereo
 import gelstereo_bench
+from gelstereo.tune.cache import processor
 
 __all__ = ["build_digest", "digest_of", "machine", "processor", "versions"]
 
@@ -38,17 +39,6 @@ def digest_of(text: str) -> str:
 def machine() -> str:
     """Description of the machine for reports: processor, cores and system."""
     return f"{processor()}, {os.cpu_count()} cores, {platform.system()} {platform.machine()}"
-
-
-def processor() -> str:
-    """Name of the processor."""
-    try:
-        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                return line.split(":", 1)[1].strip()
-    except OSError:
-        pass
-    return platform.processor() or platform.machine()
 
 
 def versions() -> dict[str, str]:

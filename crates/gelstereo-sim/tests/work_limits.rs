@@ -1,4 +1,5 @@
-//! Frames with limits of work: the best rungs that fit, the same bits for the same limits, honest covariances.
+//! Frames with limits of work: the best rungs that fit, the same bits for the same limits, and covariances
+//! of the rungs in use.
 
 use gelstereo_core::image::GrayView;
 use gelstereo_core::math::linalg::Symmetric;

@@ -209,8 +209,8 @@ impl Pipeline {
         })
     }
 
-    /// As [`Self::process_within`], with the detection of the two views passed to `join`, which may run them on
-    /// two threads and must run both to completion. The result is bit-identical either way.
+    /// As [`Self::process_within`], with the detection of the two views passed to `join`, which may run them
+    /// on two threads and must run both to completion. The result is bit-identical either way.
     ///
     /// # Errors
     /// [`PipelineError`] with stage and view.
