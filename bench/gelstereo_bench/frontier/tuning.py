@@ -36,7 +36,7 @@ from gelstereo_bench.frontier.table import Report, Table
 __all__ = ["SCENES", "Measured", "Run", "Search", "measure_tuning", "searched", "tuned"]
 
 #: Scenes, and first seeds of their takes.
-SCENES = (("grasp_cylinder", 1), ("grasp_cylinder", 101), ("usb_plug", 1))
+SCENES = (("grasp_cylinder", 1), ("grasp_cylinder", 101), ("usb_plug", 1), ("usb_plug", 101))
 #: Takes of a scene, as in `gelstereo tune`: every third is held out, so the table has eight.
 _TAKES = 12
 #: Trials after which Optuna stops; there are 324 settings.
