@@ -109,11 +109,11 @@ def draw_budgets(path: Path, found: Found) -> None:
         names += [
             (share, value, budget, colour)
             for budget, share, value in zip(results, shares, values, strict=True)
-            if budget in _NAMED
+            if budget in _NAMED and (kind == SIMULATED or budget != default_budget())
         ]
     axis.set(xlabel="time of one search, share of the default's (median of pairs)", ylabel="success, %")
     axis.set_title("surface_search: success over its budget")
-    axis.margins(x=0.08)
+    axis.margins(x=0.08, y=0.12)
     axis.grid(alpha=0.3)
     axis.legend(loc="lower right")
     _name(axis, names, np.array(bars).reshape(-1, 4))

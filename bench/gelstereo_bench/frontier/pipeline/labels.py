@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -43,28 +43,34 @@ def label_corners(
     taken = [np.asarray(box, np.float64) for box in obstacles_px]
     found = np.empty((len(anchors_px), 2))
     for index, (anchor, size) in enumerate(zip(anchors_px, sizes_px, strict=True)):
-        corners = _candidates(anchor, size, bounds_px)
-        free = [corner for corner in corners if not _overlaps(np.append(corner, corner + size), taken)]
-        found[index] = free[0] if free else corners[0]
+        found[index] = _place(anchor, size, bounds_px, taken)
         taken.append(np.append(found[index], found[index] + size))
     return found
 
 
-def _candidates(anchor: Array, size: Array, bounds_px: Sequence[float]) -> list[Array]:
+def _place(anchor: Array, size: Array, bounds_px: Sequence[float], taken: Sequence[Array]) -> Array:
+    """The nearest free place; the nearest of all if none is free."""
+    low, high = np.array(bounds_px[:2]), np.array(bounds_px[2:]) - size
+    nearest = np.clip(anchor, low, np.maximum(low, high))
+    for corner in _candidates(anchor, size, bounds_px):
+        if not _overlaps(np.append(corner, corner + size), taken):
+            return corner
+    return np.asarray(nearest)
+
+
+def _candidates(anchor: Array, size: Array, bounds_px: Sequence[float]) -> Iterator[Array]:
     """Places within the bounds on growing rings around a point, the nearest first."""
     low, high = np.array(bounds_px[:2]), np.array(bounds_px[2:]) - size
     reach_px = float(np.hypot(*(np.array(bounds_px[2:]) - bounds_px[:2])))
     turns = 2.0 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
     turns = turns[np.argsort(np.abs(np.sin(turns)), kind="stable")]
-    places = []
     for distance in np.arange(_FIRST_PX, reach_px, _STEP_PX):
         for turn in turns:
             way = np.array([np.cos(turn), np.sin(turn)])
             # The label's near side or corner is at the distance.
             corner = anchor + distance * way + 0.5 * size * (way / np.abs(way).max() - 1.0)
             if np.all(corner >= low) and np.all(corner <= high):
-                places.append(corner)
-    return places or [np.clip(anchor, low, np.maximum(low, high))]
+                yield corner
 
 
 def _overlaps(box: Array, taken: Sequence[Array]) -> bool:
