@@ -2,8 +2,8 @@
 
 use crate::arrays::Numbers;
 use crate::errors::{RegisterError, raise};
+use crate::frame::Frame;
 use crate::interrupt::stoppable;
-use crate::pipeline::Frame;
 use crate::register::Gel;
 use gelstereo_core::math::DVec3;
 use gelstereo_core::params::RegisterMethod;

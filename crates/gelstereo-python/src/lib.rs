@@ -12,6 +12,7 @@ mod codec;
 mod contact;
 mod detect;
 mod errors;
+mod frame;
 mod frames;
 mod geometry;
 mod given;
@@ -59,6 +60,8 @@ mod _native {
         SceneError, ShapeError, TemplateError, TriangulateError,
     };
     #[pymodule_export]
+    use crate::frame::{Frame, ViewEvidence};
+    #[pymodule_export]
     use crate::frames::{FingerKinematics, SensorMount, adjusted_gripper};
     #[pymodule_export]
     use crate::geometry::{
@@ -78,7 +81,7 @@ mod _native {
     #[pymodule_export]
     use crate::params::Params;
     #[pymodule_export]
-    use crate::pipeline::{Frame, Pipeline, ViewEvidence, marker_states};
+    use crate::pipeline::{Pipeline, marker_states};
     #[pymodule_export]
     use crate::pitch_check::PitchCheck;
     #[pymodule_export]

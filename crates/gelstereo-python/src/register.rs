@@ -339,8 +339,10 @@ impl Localization {
 ///     -1). Only faces towards this direction can be in contact. Used by the methods on the part's surface.
 /// deadline_ms : float, optional
 ///     Time for this call, with a method on the part's surface: ``register.surface_search.budget`` is lowered
-///     to the work that fits, and the best pose found by then is returned. The time that a unit of work takes
-///     is learned from the calls with deadlines of this thread, so the first one is not limited. For the same
+///     to the work that fits, and the best pose found by then is returned. The first pose of "surface_search"
+///     takes some 25000 units whatever the budget, so shorter deadlines are exceeded. The time that a unit
+///     of work takes is learned from the calls with deadlines of this thread, so the first one is not
+///     limited. For the same
 ///     bits again, set the budget to ``Localization.budget``. Default: none.
 ///
 /// Returns

@@ -13,6 +13,7 @@ import numpy as np
 from gelstereo import Error, Params
 from gelstereo.progress import Progress
 from gelstereo_bench.frontier.grasps import GRASPED, NOISES, STARTS, Grasp, Noise, Press, grasps
+from gelstereo_bench.frontier.pipeline.evaluation import outside
 from gelstereo_bench.frontier.pipeline.intervals import Interval, wilson
 from gelstereo_bench.frontier.pipeline.kept import Kept, code_digest, key_of
 
@@ -114,14 +115,8 @@ def _laws() -> list[tuple[str, str]]:
     Error
         The folder ``bench`` is not on Python's path.
     """
-    try:
-        from outside.grasped import jobs
-    except ModuleNotFoundError as error:
-        raise Error(
-            f"the gels of other laws cannot be read ({error}); run the command in a clone of the repository "
-            "with PYTHONPATH=bench"
-        ) from error
-    entries = [entry for entry, _, _ in jobs().values() if entry["half"] == "w"]
+    jobs = outside("grasped").jobs()
+    entries = [entry for entry, _, _ in jobs.values() if entry["half"] == "w"]
     return list(dict.fromkeys((entry["law"], entry["part"]) for entry in entries))
 
 

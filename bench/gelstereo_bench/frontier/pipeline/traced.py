@@ -15,6 +15,7 @@ import trimesh
 
 from gelstereo import Error, Rig
 from gelstereo_bench.frontier.pipeline.cases import Body, Case, Shot, Take
+from gelstereo_bench.frontier.pipeline.evaluation import outside
 
 __all__ = ["traced_cases"]
 
@@ -36,14 +37,8 @@ def traced_cases() -> list[Case]:
     Error
         The folder ``bench`` is not on Python's path.
     """
-    try:
-        from outside import images
-    except ModuleNotFoundError as error:
-        raise Error(
-            f"the path-traced pairs cannot be read ({error}); run the command in a clone of the repository "
-            "with PYTHONPATH=bench"
-        ) from error
-    return [Case(_title(name), "path-traced", partial(_take, name)) for name in images.names("w")]
+    names = outside("images").names("w")
+    return [Case(_title(name), "path-traced", partial(_take, name)) for name in names]
 
 
 def _title(name: str) -> str:

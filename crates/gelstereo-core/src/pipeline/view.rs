@@ -137,10 +137,7 @@ impl ViewStages {
         };
         self.rung = if is_over(DetectRung::Configured) { self.last_rung() } else { DetectRung::Configured };
         self.work += work::whole(&params.detect, self.rung, &size);
-        let detector = match (&mut self.cheaper, self.rung) {
-            (Some(cheaper), DetectRung::Cheaper) => cheaper.as_mut(),
-            _ => &mut self.detector,
-        };
+        let detector = of_rung(self.rung, &mut self.detector, &mut self.cheaper);
         self.detected = detector.run(image, &mut self.markers);
         self.searched = Searched::Whole;
     }
@@ -194,10 +191,7 @@ impl ViewStages {
     /// the tracks are then in `windows`.
     fn detect_in_windows(&mut self, image: GrayView<'_>, params: &Params) -> bool {
         let Self { windows, detector, cheaper, rung, tracker, checked, tracks, .. } = self;
-        let detector = match (cheaper, rung) {
-            (Some(cheaper), DetectRung::Cheaper) => cheaper.as_mut(),
-            _ => detector,
-        };
+        let detector = of_rung(*rung, detector, cheaper);
         let predicted_px = match params.label.method {
             LabelMethod::Lattice => checked.predict(tracks),
             LabelMethod::Foresight => tracks.positions_px.as_slice(),
@@ -415,6 +409,18 @@ impl ViewStages {
         self.is_sorted = true;
         let relabelled = self.order.iter().enumerate().filter(|&(slot, &track)| slot != track).count();
         self.evidence = self.evidence(LabelSource::Foresight, relabelled);
+    }
+}
+
+/// The detector of a rung.
+fn of_rung<'a>(
+    rung: DetectRung,
+    detector: &'a mut Detector,
+    cheaper: &'a mut Option<Box<Detector>>,
+) -> &'a mut Detector {
+    match (cheaper, rung) {
+        (Some(cheaper), DetectRung::Cheaper) => cheaper.as_mut(),
+        _ => detector,
     }
 }
 
