@@ -342,8 +342,7 @@ impl Localization {
 ///     to the work that fits, and the best pose found by then is returned. The first pose of "surface_search"
 ///     takes some 25000 units whatever the budget, so shorter deadlines are exceeded. The time that a unit
 ///     of work takes is learned from the calls with deadlines of this thread, so the first one is not
-///     limited. For the same
-///     bits again, set the budget to ``Localization.budget``. Default: none.
+///     limited. For the same bits again, set the budget to ``Localization.budget``. Default: none.
 ///
 /// Returns
 /// -------
