@@ -12,12 +12,25 @@ use alloc::vec::Vec;
 /// One round of screening.
 pub(super) struct Round {
     /// Number of salient points in use.
-    pressed: usize,
+    pub pressed: usize,
     /// Widths of its steps, and how many candidates continue from each: the cheapest before the step.
     steps: &'static [(f64, usize)],
     /// Width of the final comparison, and how many candidates are kept.
     last_mm: f64,
     pub keeps: usize,
+}
+
+impl Round {
+    /// Work for this many candidates, with `points` salient and other ones.
+    pub const fn work(&self, count: usize, points: usize) -> usize {
+        let (mut left, mut sum, mut k) = (count, 0, 0);
+        while k < self.steps.len() {
+            sum += left * points;
+            left = if left < self.steps[k].1 { left } else { self.steps[k].1 };
+            k += 1;
+        }
+        sum + left * points
+    }
 }
 
 /// Candidates closer than this, over the patch, count as one.

@@ -4,7 +4,7 @@ use super::candidate::{Candidate, End};
 use super::distance_objective::DistanceObjective;
 use super::gel::objective::GelObjective;
 use super::gel::prediction::GelFitScratch;
-use super::halving::{FIRST, SAME_MM, SECOND, keep};
+use super::halving::{FIRST, Round, SAME_MM, SECOND, keep};
 use super::modes::Modes;
 use super::multi_start::start;
 use super::objective::Objective;
@@ -36,14 +36,35 @@ pub(super) struct Candidates {
     pub runners_up: Vec<Candidate>,
 }
 
+/// Share of the budget that screening may take: with less, fewer starts are screened, so that the best of
+/// them can be refined.
+const SCREENED: f64 = 1.0 / 3.0;
+/// Starts that are screened with any budget.
+const MIN_STARTS: usize = 8;
+
 impl Search<'_> {
+    /// Number of starts that are screened.
+    fn starts(&self) -> usize {
+        let (params, samples) = (self.problem.params, self.problem.samples);
+        let points = |round: &Round, unpressed: usize| round.pressed.min(samples.spread_count) + unpressed;
+        let first = points(&FIRST, samples.coarse_unpressed);
+        let second = points(&SECOND, samples.medium_unpressed);
+        let work = |starts: usize| FIRST.work(starts, first) + SECOND.work(starts.min(FIRST.keeps), second);
+        let max_work = (SCREENED * self.limit as f64) as usize;
+        let mut starts = params.surface_search.starts as usize;
+        while starts > MIN_STARTS && work(starts) > max_work {
+            starts -= 1;
+        }
+        starts
+    }
+
     /// Reduces many starts to the few that are refined.
     pub fn screen(&mut self, candidates: &mut Candidates) {
         let (params, samples) = (self.problem.params, self.problem.samples);
         let Candidates { best, runners_up } = candidates;
         best.clear();
-        for k in 0..params.surface_search.starts {
-            best.push(Candidate::at(start(&self.problem.prior, k)));
+        for k in 0..self.starts() {
+            best.push(Candidate::at(start(&self.problem.prior, k as u32)));
         }
         self.round(best, &FIRST, samples.coarse_unpressed);
         best.truncate(FIRST.keeps);
