@@ -46,6 +46,10 @@ class Mutant:
         if self.file.endswith(".py"):
             asked = f'__import__("os").environ.get("{SWITCH}") == "{number}"'
             return text.replace(self.old, f"(({self.new}) if {asked} else ({self.old}))")
+        # A constant function cannot read the switch.
+        before, _, after = text.partition(self.old)
+        head, function, body = before.rpartition("fn ")
+        text = head.removesuffix("const ") + function + body + self.old + after
         crate = "crate" if self.file.startswith("crates/gelstereo-core/") else "::gelstereo_core"
         choice = f"if {crate}::mutant({number}) {{ {self.new} }} else {{ {self.old} }}"
         return text.replace(self.old, choice if self.old.endswith(";") else f"({choice})")

@@ -37,8 +37,9 @@ pub(super) struct Candidates {
 }
 
 /// Share of the budget that screening may take: with less, fewer starts are screened, so that the best of
-/// them can be refined.
-const SCREENED: f64 = 1.0 / 3.0;
+/// them can be refined. Tried 1/4, 1/3 and 1/2 on 108 simulated contacts: of wide guesses with a budget of
+/// 60 000, 88, 85 and 87 % succeed, and of near ones 96, 94 and 91 %.
+const SCREENED: f64 = 1.0 / 4.0;
 /// Starts that are screened with any budget.
 const MIN_STARTS: usize = 8;
 
