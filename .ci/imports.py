@@ -16,7 +16,7 @@ from pathlib import Path
 FLOORS = (
     ("stop", "digest"),
     ("math", "image"),
-    ("frames", "spatial", "camera"),
+    ("frames", "spatial", "camera", "layer"),
     ("rig", "surface"),
     ("params",),
     ("color",),
@@ -25,6 +25,7 @@ FLOORS = (
     ("track",),
     ("triangulate",),
     ("contact",),
+    ("force",),
     ("register",),
     ("pipeline",),
 )

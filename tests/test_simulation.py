@@ -11,7 +11,7 @@ import numpy.typing as npt
 import pytest
 
 import gelstereo
-from gelstereo import Scene, SceneError, Sight, SimulatedFrame, Simulator
+from gelstereo import Scene, SceneError, Sight, SimulatedFrame, Simulator, Stick
 
 Array = npt.NDArray[np.float64]
 
@@ -172,6 +172,7 @@ def test_points_alone_are_not_paid_for_as_images_are() -> None:
 
 def test_sights_are_told_apart() -> None:
     assert gelstereo._native.sights() == {sight.name: sight.value for sight in Sight}
+    assert gelstereo._native.sticks() == {stick.name: stick.value for stick in Stick}
     scene = Scene().replace(
         {
             "gel": {"missing": [[5, 5]], "centre_mm": [4.0, 1.3]},

@@ -23,6 +23,7 @@ from gelstereo._native import (
     Detector,
     Error,
     FingerKinematics,
+    ForceEstimator,
     Frame,
     FrameError,
     FreeDirection,
@@ -59,6 +60,7 @@ from gelstereo._native import (
     ShapeError,
     SimulatedDots,
     SimulatedFrame,
+    SimulatedLoads,
     Simulator,
     Surface,
     Symmetry,
@@ -67,6 +69,7 @@ from gelstereo._native import (
     TrackedMarkers,
     TriangulateError,
     ViewEvidence,
+    Wrench,
     __version__,
     adaptive_saliency,
     adjusted_gripper,
@@ -81,7 +84,7 @@ from gelstereo._native import (
 )
 from gelstereo.inspection import Inspection, inspect
 from gelstereo.simulation import simulate
-from gelstereo.states import MarkerState, Sight
+from gelstereo.states import MarkerState, Sight, Stick
 
 __all__ = [
     "CameraError",
@@ -92,6 +95,7 @@ __all__ = [
     "Detector",
     "Error",
     "FingerKinematics",
+    "ForceEstimator",
     "Frame",
     "FrameError",
     "FreeDirection",
@@ -131,7 +135,9 @@ __all__ = [
     "Sight",
     "SimulatedDots",
     "SimulatedFrame",
+    "SimulatedLoads",
     "Simulator",
+    "Stick",
     "Surface",
     "Symmetry",
     "Template",
@@ -139,6 +145,7 @@ __all__ = [
     "TrackedMarkers",
     "TriangulateError",
     "ViewEvidence",
+    "Wrench",
     "__version__",
     "adaptive_saliency",
     "adjusted_gripper",

@@ -25,6 +25,7 @@ __all__ = [
     "Detector",
     "Error",
     "FingerKinematics",
+    "ForceEstimator",
     "Frame",
     "FrameError",
     "FreeDirection",
@@ -63,6 +64,7 @@ __all__ = [
     "ShapeError",
     "SimulatedDots",
     "SimulatedFrame",
+    "SimulatedLoads",
     "Simulator",
     "Surface",
     "Symmetry",
@@ -73,6 +75,7 @@ __all__ = [
     "TrackedMarkers",
     "TriangulateError",
     "ViewEvidence",
+    "Wrench",
     "__version__",
     "adaptive_saliency",
     "adjusted_gripper",
@@ -101,6 +104,7 @@ __all__ = [
     "so3_left_jacobian",
     "so3_left_jacobian_inverse",
     "so3_log",
+    "sticks",
     "triangulate",
     "triangulate_covariance",
     "turned_outward",
@@ -342,6 +346,35 @@ class RestSurface:
     def indentation_mm(self, points_mm: npt.ArrayLike) -> _Floats: ...
     def __len__(self) -> int: ...
 
+@final
+class Wrench:
+    @property
+    def force_n(self) -> _Floats: ...
+    @property
+    def torque_nmm(self) -> _Floats: ...
+    @property
+    def about_mm(self) -> _Floats: ...
+    @property
+    def covariance(self) -> _Floats: ...
+    @property
+    def misfit(self) -> float: ...
+    @property
+    def cells(self) -> int: ...
+    @property
+    def markers(self) -> int: ...
+    @property
+    def is_cut(self) -> bool: ...
+    def about(self, point_mm: npt.ArrayLike) -> Wrench: ...
+
+@final
+class ForceEstimator:
+    def __new__(
+        cls, rest: RestSurface, params: Params, *, cols: int, covariance_mm2: npt.ArrayLike
+    ) -> ForceEstimator: ...
+    def run(
+        self, points_mm: npt.ArrayLike, covariance_mm2: npt.ArrayLike, patch: Sequence[bool]
+    ) -> tuple[_Floats, Wrench | None]: ...
+
 def pressure_saliency(
     rest: RestSurface,
     indentation_mm: npt.ArrayLike,
@@ -425,6 +458,10 @@ class Frame:
     def patch(self) -> npt.NDArray[np.bool_]: ...
     @property
     def patch_points_mm(self) -> _Floats: ...
+    @property
+    def traction_kpa(self) -> _Floats: ...
+    @property
+    def wrench(self) -> Wrench | None: ...
     @property
     def mismatched(self) -> int: ...
     @property
@@ -855,7 +892,22 @@ class SimulatedFrame:
     @property
     def in_contact(self) -> npt.NDArray[np.bool_]: ...
     @property
+    def loads(self) -> SimulatedLoads | None: ...
+    @property
     def t_sensor_object(self) -> _Floats | None: ...
+
+@final
+class SimulatedLoads:
+    @property
+    def force_n(self) -> _Floats: ...
+    @property
+    def torque_nmm(self) -> _Floats: ...
+    @property
+    def about_mm(self) -> _Floats: ...
+    @property
+    def traction_kpa(self) -> _Floats: ...
+    @property
+    def stick(self) -> _Bytes: ...
 
 @final
 class PlannedEffect:
@@ -911,6 +963,7 @@ def shape_mesh(
     shape: Mapping[str, Any], tolerance_mm: float = 0.01
 ) -> tuple[_Floats, npt.NDArray[np.int64]]: ...
 def sights() -> dict[str, int]: ...
+def sticks() -> dict[str, int]: ...
 def marker_states() -> dict[str, int]: ...
 def parse_toml(text: str) -> dict[str, Any]: ...
 def so3_exp(omega: npt.ArrayLike) -> _Floats: ...

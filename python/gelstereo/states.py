@@ -43,3 +43,20 @@ class Sight(IntEnum):
     """Outside the image, or behind the camera."""
     NOT_PRINTED = 5
     """Not printed."""
+
+
+class Stick(IntEnum):
+    """Whether the simulated gel around a marker moves with the part, as in `SimulatedLoads.stick`.
+
+    Examples
+    --------
+    >>> Stick(2).name
+    'SLIPS'
+    """
+
+    FREE = 0
+    """The part does not press here."""
+    STUCK = 1
+    """It moves with the part."""
+    SLIPS = 2
+    """It slips along the part."""

@@ -4,7 +4,9 @@ use gelstereo_core::detect::Markers;
 use gelstereo_core::math::DVec2;
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::params::TrackParams;
-use gelstereo_core::track::{Certainty, MIN_MARKERS, MarkerState, ScatteredTracker, TooFewMarkers, Tracks};
+use gelstereo_core::track::{
+    Certainty, MIN_MARKERS, MarkerState, ScatteredTracker, TooFewMarkers, Tracks, pair_views,
+};
 use proptest::prelude::*;
 
 const SIZE_PX: (usize, usize) = (640, 480);
@@ -263,4 +265,45 @@ fn too_few_markers_are_refused_and_nothing_is_lost() {
     );
     assert_eq!(run.tracks, before);
     assert_eq!(run.step(&Warp::default(), 0.0, 0).certainty, Certainty::Certain);
+}
+
+/// A regular print wider than the view, moved by half its pitch, may have moved either way: nothing is
+/// claimed.
+#[test]
+fn two_displacements_that_fit_equally_well_are_not_claimed() {
+    let seen = |shift_px: f64| -> Markers {
+        let places = (-40..80).flat_map(|i| (-40..80).map(move |j| DVec2::new(f64::from(i), f64::from(j))));
+        let points = places.map(|place| place * 20.0 + DVec2::new(10.0 + shift_px, 10.0));
+        let in_view = |p: &DVec2| p.x > 8.0 && p.x < 632.0 && p.y > 8.0 && p.y < 472.0;
+        let centres_px: Vec<DVec2> = points.filter(in_view).collect();
+        let covariance_px2 = vec![[[SIGMA_PX * SIGMA_PX, 0.0], [0.0, SIGMA_PX * SIGMA_PX]]; centres_px.len()];
+        Markers { centres_px, covariance_px2, ..Markers::default() }
+    };
+    let (mut tracker, mut tracks) =
+        (ScatteredTracker::new(&TrackParams::default(), SIZE_PX), Tracks::default());
+    tracker.initialise(&seen(0.0), 1000, &mut tracks).unwrap();
+    assert_eq!(tracker.run(&seen(2.0), &mut tracks), Certainty::Certain);
+    assert_eq!(tracker.run(&seen(12.0), &mut tracks), Certainty::Uncertain);
+}
+
+/// Where the rows of both views differ by more than a quarter of the spacing, nothing is paired.
+#[test]
+fn markers_on_other_rows_are_not_paired() {
+    let left_px = print(Layout::Random, &mut Stream::new(3, "print"));
+    let spacing_px = {
+        let (mut tracker, mut tracks) =
+            (ScatteredTracker::new(&TrackParams::default(), SIZE_PX), Tracks::default());
+        let covariance_px2 = vec![[[1e-3, 0.0], [0.0, 1e-3]]; left_px.len()];
+        let rest = Markers { centres_px: left_px.clone(), covariance_px2, ..Markers::default() };
+        tracker.initialise(&rest, 1000, &mut tracks).unwrap();
+        tracker.spacing_px()
+    };
+    // Rows that agree in the middle, and differ by 0.4 spacings at both sides.
+    let off_px = |p: DVec2| 0.4 * spacing_px * (p.x - 320.0) / 260.0;
+    let right_px: Vec<DVec2> = left_px.iter().map(|&p| p - DVec2::new(50.0, off_px(p))).collect();
+    let pairs = pair_views(&left_px, &right_px).unwrap();
+    assert!(pairs.len() < left_px.len(), "{} of {}", pairs.len(), left_px.len());
+    for (n, m) in pairs {
+        assert!(n == m && off_px(left_px[n as usize]).abs() <= 0.25 * spacing_px);
+    }
 }

@@ -30,6 +30,10 @@ impl RestSurface {
     pub const fn from_core(inner: core::RestSurface) -> Self {
         Self { inner }
     }
+
+    pub const fn core(&self) -> &core::RestSurface {
+        &self.inner
+    }
 }
 
 #[pymethods]

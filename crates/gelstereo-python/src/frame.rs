@@ -1,6 +1,7 @@
 //! Results of one stereo frame.
 
 use crate::arrays::{self, Array1, Matrix};
+use crate::force::Wrench;
 use crate::notebook;
 use crate::pickle;
 use gelstereo_core::params::Centre;
@@ -120,6 +121,13 @@ pub struct Frame {
     /// (M, 3) the points of the contact patch, in the order of the markers.
     #[pyo3(get)]
     patch_points_mm: Matrix,
+    /// (N, 3) tractions that the part exerts on the gel around each marker, along the sensor's axes; (0, 3)
+    /// without ``force.method``.
+    #[pyo3(get)]
+    traction_kpa: Matrix,
+    /// Their force and torque, a `Wrench`; `None` without contact, or without ``force.method``.
+    #[pyo3(get)]
+    wrench: Option<Py<Wrench>>,
     /// Markers whose two views do not match, judged by rows, disparity, or depth relative to their
     /// neighbours.
     #[pyo3(get)]
@@ -174,6 +182,8 @@ impl Frame {
             salient: arrays::list(py, frame.salient),
             patch: arrays::list(py, frame.patch),
             patch_points_mm: arrays::rows::<_, 3>(py, patch_points)?,
+            traction_kpa: arrays::rows::<_, 3>(py, frame.traction_kpa)?,
+            wrench: frame.wrench.map(|wrench| Py::new(py, Wrench::from_core(wrench))).transpose()?,
             mismatched: frame.mismatched,
             motion_px: frame.motion_px,
             work: frame.work,

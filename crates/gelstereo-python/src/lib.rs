@@ -12,6 +12,7 @@ mod codec;
 mod contact;
 mod detect;
 mod errors;
+mod force;
 mod frame;
 mod frames;
 mod geometry;
@@ -60,6 +61,8 @@ mod _native {
         SceneError, ShapeError, TemplateError, TriangulateError,
     };
     #[pymodule_export]
+    use crate::force::{ForceEstimator, Wrench};
+    #[pymodule_export]
     use crate::frame::{Frame, ViewEvidence};
     #[pymodule_export]
     use crate::frames::{FingerKinematics, SensorMount, adjusted_gripper};
@@ -92,7 +95,8 @@ mod _native {
     use crate::rig::{Rectification, Rig};
     #[pymodule_export]
     use crate::sim::{
-        Plan, PlannedEffect, Scene, SimulatedDots, SimulatedFrame, Simulator, shape_mesh, sights,
+        Plan, PlannedEffect, Scene, SimulatedDots, SimulatedFrame, SimulatedLoads, Simulator, shape_mesh,
+        sights, sticks,
     };
     #[pymodule_export]
     use crate::surface::DenseSurface;

@@ -10,6 +10,7 @@ mod decay;
 mod disc_bias;
 mod effects;
 mod effects_off;
+mod force;
 mod gallery;
 mod label_slips;
 mod lattice;

@@ -7,7 +7,7 @@ use crate::counting;
 use counting::{ALLOCATIONS, HELD, PEAK};
 use gelstereo_core::image::GrayView;
 use gelstereo_core::math::{DVec3, Pose};
-use gelstereo_core::params::{LabelMethod, Params, Saliency, Search};
+use gelstereo_core::params::{ForceMethod, ForceParams, LabelMethod, Params, Saliency, Search};
 use gelstereo_core::pipeline::{Frame, LabelSource, Pipeline, Searched};
 use gelstereo_core::track::MarkerState;
 use gelstereo_sim::effects::{Effects, SensorNoise};
@@ -38,6 +38,10 @@ fn pairs() -> Vec<Pair> {
     pairs
 }
 
+fn with_known_gel() -> ForceParams {
+    ForceParams { thickness_mm: Some(5.0), young_kpa: Some(100.0), ..ForceParams::default() }
+}
+
 fn view(pixels: &[u8]) -> GrayView<'_> {
     GrayView::new(pixels, 640, 480, 640).unwrap()
 }
@@ -58,7 +62,10 @@ fn row_35_sensing_allocates_nothing_after_the_first_frames() {
             match (preset, method) {
                 ("paper", LabelMethod::Foresight) => params.contact.saliency = Saliency::Pressure,
                 (_, LabelMethod::Foresight) => params.contact.saliency = Saliency::Adaptive,
-                (_, LabelMethod::Lattice) => {}
+                (_, LabelMethod::Lattice) => {
+                    let method = ForceMethod::Bounded;
+                    params.force = ForceParams { method, ..with_known_gel() };
+                }
             }
             let held_before = HELD.get();
             PEAK.set(held_before);

@@ -173,6 +173,7 @@ fn a_field_is_the_moment_without_its_views() {
             points_mm: whole.points_mm,
             indentation_mm: whole.indentation_mm,
             in_contact: whole.in_contact,
+            loads: whole.loads,
             ..Truth::default()
         };
         assert!(field == expected && expected.in_contact.contains(&true));

@@ -7,8 +7,8 @@ use alloc::string::String;
 use alloc::vec::Vec;
 use gelstereo_core::digest::Digest;
 use gelstereo_core::params::{
-    Background, Centre, DiscBias, FindAt, LabelMethod, Motion, Params, Polarity, Saliency, Search, Threshold,
-    TriangulateMethod,
+    Background, Centre, DiscBias, FindAt, ForceMethod, ForceParams, LabelMethod, Motion, Params, Polarity,
+    Saliency, Search, Threshold, TriangulateMethod,
 };
 use gelstereo_core::pipeline::Pipeline;
 use gelstereo_sim::{Gel, Scene};
@@ -89,6 +89,18 @@ pub fn rungs(out: &mut Digests) -> Outcome<()> {
     }
     for rung in every!(Saliency: Depth Pressure Adaptive) {
         add(format!("saliency/{rung:?}"), &of_dark, &|params| params.contact.saliency = rung)?;
+    }
+    for rung in every!(ForceMethod: None Ridge Bounded) {
+        add(format!("force/{rung:?}"), &of_dark, &|params| {
+            let (thickness_mm, young_kpa) = (Some(5.0), Some(100.0));
+            params.force = ForceParams {
+                method: rung,
+                thickness_mm,
+                young_kpa,
+                friction: Some(0.5),
+                ..Default::default()
+            };
+        })?;
     }
     add("learn_decay".into(), &of_dark, &|params| {
         params.contact.saliency = Saliency::Pressure;

@@ -3,6 +3,7 @@
 //! libm replaces std's functions because those differ between machines with and without FMA; the same
 //! input must give the same bits everywhere.
 
+mod dense;
 mod exp;
 pub mod linalg;
 pub mod random;
@@ -10,6 +11,7 @@ pub mod se3;
 pub mod so3;
 mod solve;
 
+pub(crate) use dense::InverseFactor;
 pub(crate) use exp::exp_nonpositive;
 pub use glam::{DMat3, DQuat, DVec2, DVec3};
 pub use libm::{

@@ -5,6 +5,7 @@
 
 mod contact;
 mod detect;
+mod force;
 mod label;
 mod lattice;
 mod pitch;
@@ -17,6 +18,7 @@ mod triangulate;
 
 pub use contact::{ContactParams, Saliency};
 pub use detect::{Background, Centre, Channel, DetectParams, FindAt, FitParams, Polarity, Search, Threshold};
+pub use force::{ForceMethod, ForceParams};
 pub use label::{LabelMethod, LabelParams};
 pub use lattice::LatticeParams;
 pub use pitch::Pitch;
@@ -49,6 +51,8 @@ pub struct Params {
     pub triangulate: TriangulateParams,
     /// Saliency and the stop triggers.
     pub contact: ContactParams,
+    /// Force and torque of a contact.
+    pub force: ForceParams,
     /// Registration to the template.
     pub register: RegisterParams,
 }
@@ -97,6 +101,7 @@ impl Params {
         self.label.validate()?;
         self.triangulate.validate()?;
         self.contact.validate()?;
+        self.force.validate()?;
         self.register.validate()
     }
 }

@@ -1,9 +1,9 @@
 //! Settings by name.
 
 use super::{
-    Background, Centre, ContactParams, DetectParams, DiscBias, FindAt, FitParams, LabelMethod, LabelParams,
-    LatticeParams, Motion, Params, RegisterMethod, RegisterParams, Saliency, Search, Threshold, TrackParams,
-    TriangulateMethod, TriangulateParams,
+    Background, Centre, ContactParams, DetectParams, DiscBias, FindAt, FitParams, ForceParams, LabelMethod,
+    LabelParams, LatticeParams, Motion, Params, RegisterMethod, RegisterParams, Saliency, Search, Threshold,
+    TrackParams, TriangulateMethod, TriangulateParams,
 };
 
 impl Params {
@@ -63,6 +63,7 @@ impl Params {
             label: LabelParams { method: LabelMethod::Lattice, ..Default::default() },
             triangulate: TriangulateParams { method: TriangulateMethod::Polynomial, ..Default::default() },
             contact: ContactParams { saliency: Saliency::Adaptive, ..Default::default() },
+            force: ForceParams::default(),
             register: RegisterParams { method: RegisterMethod::SurfaceSearch, ..Default::default() },
         }
     }

@@ -3,6 +3,7 @@
 use super::rest_record::RestRecordError;
 use crate::contact::ContactError;
 use crate::detect::DetectError;
+use crate::force::ForceError;
 use crate::lattice::LabelError;
 use crate::params::{ParamsError, Pitch};
 pub use crate::rig::View;
@@ -40,6 +41,8 @@ pub enum PipelineError {
     Triangulate(TriangulateError),
     /// The rest frame's points span no surface.
     Contact(ContactError),
+    /// Forces cannot be estimated on this lattice.
+    Force(ForceError),
     /// The views' rest frames show lattices of different sizes.
     Lattices {
         /// Rows and columns found in the left view.
@@ -78,6 +81,7 @@ impl core::fmt::Display for PipelineError {
             Self::Label { view, error } => write!(f, "{view} view: {error}"),
             Self::Triangulate(error) => error.fmt(f),
             Self::Contact(error) => error.fmt(f),
+            Self::Force(error) => error.fmt(f),
             Self::Record(error) => error.fmt(f),
             Self::Lattices { left, right } => write!(
                 f,

@@ -1,6 +1,7 @@
 //! Results of one stereo frame.
 
 use crate::digest::Digest;
+use crate::force::Wrench;
 use crate::math::linalg::Symmetric;
 use crate::math::{DVec2, DVec3};
 use crate::params::Centre;
@@ -86,6 +87,13 @@ pub struct Frame {
     pub salient: Vec<bool>,
     /// Salient and in the contact patch, which is the input of registration.
     pub patch: Vec<bool>,
+    /// Tractions that the part exerts on the gel around each marker, kilopascals along the sensor's axes;
+    /// empty without `force.method`.
+    #[cfg_attr(feature = "serde", serde(default))]
+    pub traction_kpa: Vec<DVec3>,
+    /// Their force and torque; `None` without contact, or without `force.method`.
+    #[cfg_attr(feature = "serde", serde(default))]
+    pub wrench: Option<Wrench>,
     /// Decay length used to detect the contact, over which the gel returns to rest beside it,
     /// millimetres: `contact.decay_mm`, or the value learned since.
     pub decay_mm: f64,
@@ -130,7 +138,14 @@ impl Frame {
         let flags = self.salient.iter().zip(&self.patch);
         let digest =
             flags.fold(digest, |d, (&salient, &patch)| d.bytes(&[u8::from(salient), u8::from(patch)]));
-        view(view(digest, &self.left), &self.right).value()
+        let digest = view(view(digest, &self.left), &self.right);
+        // Without forces, the digest is that of the other results.
+        let Some(wrench) = &self.wrench else { return digest.value() };
+        digest
+            .f64s(self.traction_kpa.iter().flat_map(|q| q.to_array()))
+            .f64s(wrench.force_n.to_array().into_iter().chain(wrench.torque_nmm.to_array()))
+            .f64s(wrench.covariance.iter().flatten().copied())
+            .value()
     }
 
     /// Points of the contact patch in the order of the markers (sensor frame, millimetres); `out` is

@@ -26,11 +26,12 @@ pub use skin::Skin;
 
 use crate::contact::{self, ContactDetector, ContactRule, Decay, MarkerHeights, RestSurface, StereoMismatch};
 use crate::detect::DetectError;
+use crate::force::{ForceEstimator, MovedMarkers};
 use crate::image::GrayView;
 use crate::lattice::LatticeFinder;
 use crate::math::linalg::Symmetric;
 use crate::math::{DVec2, DVec3};
-use crate::params::{DiscBias, Params};
+use crate::params::{DiscBias, ForceMethod, Params};
 use crate::rig::Rig;
 use crate::track::{MarkerState, Tracks};
 use crate::triangulate::{Centres, Triangulator};
@@ -50,6 +51,8 @@ pub struct Pipeline {
     /// With `lattice.depth_mm` above 0, since the rest frame.
     skin: Option<Skin>,
     contact: ContactDetector,
+    /// With `force.method`, since the rest frame.
+    force: Option<ForceEstimator>,
     rest_variance_mm2: Vec<f64>,
     epipolar: Epipolar,
     reference_px: Vec<DVec2>,
@@ -96,6 +99,7 @@ impl Pipeline {
             rest: None,
             skin: None,
             contact: ContactDetector::new(&params.contact),
+            force: None,
             rest_variance_mm2: Vec::new(),
             epipolar: Epipolar::default(),
             reference_px: Vec::new(),
@@ -159,6 +163,7 @@ impl Pipeline {
     pub fn reset(&mut self) {
         self.rest = None;
         self.skin = None;
+        self.force = None;
         self.contact.forget();
         self.epipolar = Epipolar::default();
         self.frames = 0;
@@ -332,6 +337,12 @@ impl Pipeline {
             false => None,
         };
         self.rest = Some(rest);
+        if self.params.force.method != ForceMethod::None {
+            let rest = self.skin.as_ref().map(Skin::rest).or(self.rest.as_ref());
+            let estimator =
+                rest.map(|rest| ForceEstimator::new(&self.params.force, rest, cols, &self.covariance_mm2));
+            self.force = estimator.transpose().map_err(PipelineError::Force)?;
+        }
         Ok(())
     }
 
@@ -413,6 +424,13 @@ impl Pipeline {
             skin.lift(&mut out.points_mm, &mut out.covariance_mm2);
             let rest = skin.rest();
             rest.indentation_mm(&out.points_mm, &mut out.indentation_mm).map_err(PipelineError::Contact)?;
+        }
+        out.wrench = None;
+        out.traction_kpa.clear();
+        if let Some(force) = &mut self.force {
+            let Frame { points_mm, covariance_mm2, state, patch, traction_kpa, .. } = out;
+            let moved = MovedMarkers { points_mm, covariance_mm2, state, patch };
+            out.wrench = force.run(&moved, traction_kpa).map_err(PipelineError::Force)?;
         }
         out.motion_px = contact::mean_motion_px(&self.reference_px, &out.left_px, &out.state);
         out.left = self.left.evidence;

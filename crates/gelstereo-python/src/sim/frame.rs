@@ -152,6 +152,20 @@ impl SimulatedFrame {
         Ok(self.images(py)?[1].clone_ref(py))
     }
 
+    /// Loads that the part exerts on the gel, `SimulatedLoads`; None without ``effects.elastic_layer``.
+    #[getter]
+    fn loads(&self, py: Python<'_>) -> PyResult<Option<SimulatedLoads>> {
+        let Some(loads) = &self.truth.loads else { return Ok(None) };
+        let vector = |v: gelstereo_core::math::DVec3| arrays::list(py, v.to_array().to_vec());
+        Ok(Some(SimulatedLoads {
+            force_n: vector(loads.force_n),
+            torque_nmm: vector(loads.torque_nmm),
+            about_mm: vector(loads.about_mm),
+            traction_kpa: arrays::rows::<_, 3>(py, loads.traction_kpa.clone())?,
+            stick: arrays::list(py, loads.stick.iter().map(|&stick| stick as u8).collect()),
+        }))
+    }
+
     /// (N, 2) true centres in the left image.
     #[getter]
     fn left_px(&self, py: Python<'_>) -> PyResult<Matrix> {
@@ -180,6 +194,29 @@ impl SimulatedFrame {
     #[getter]
     fn right_dots(&self, py: Python<'_>) -> PyResult<Py<SimulatedDots>> {
         Ok(self.views(py)?.dots[1].clone_ref(py))
+    }
+}
+
+/// Loads that the simulated part exerts on the gel, N markers.
+#[pyclass(frozen, get_all, module = "gelstereo")]
+pub struct SimulatedLoads {
+    /// (3,) force, newtons along the sensor's axes.
+    force_n: Array1<f64>,
+    /// (3,) torque about `about_mm`, newton millimetres.
+    torque_nmm: Array1<f64>,
+    /// (3,) centroid of the markers at rest, sensor frame.
+    about_mm: Array1<f64>,
+    /// (N, 3) mean traction over the square around each marker, along the sensor's axes.
+    traction_kpa: Matrix,
+    /// (N,) uint8 whether the gel sticks to the part at each marker, see `Stick`.
+    stick: Array1<u8>,
+}
+
+#[pymethods]
+impl SimulatedLoads {
+    fn __repr__(&self, py: Python<'_>) -> PyResult<String> {
+        let [x, y, z] = self.force_n.bind(py).extract::<[f64; 3]>()?;
+        Ok(format!("<SimulatedLoads: force ({x:.3}, {y:.3}, {z:.3}) N>"))
     }
 }
 

@@ -4,7 +4,7 @@ mod frame;
 mod plan;
 mod scene;
 
-pub use frame::{SimulatedDots, SimulatedFrame};
+pub use frame::{SimulatedDots, SimulatedFrame, SimulatedLoads};
 pub use plan::{Plan, PlannedEffect};
 pub use scene::Scene;
 
@@ -28,6 +28,12 @@ const NO_INDENTER: &str =
 #[pyfunction]
 pub fn sights() -> std::collections::BTreeMap<&'static str, u8> {
     sim::Sight::ALL.map(|(name, sight)| (name, sight as u8)).into()
+}
+
+/// Names and values of the simulator's states of sticking, repeated in `gelstereo.Stick` for typing.
+#[pyfunction]
+pub fn sticks() -> std::collections::BTreeMap<&'static str, u8> {
+    sim::Stick::ALL.map(|(name, stick)| (name, stick as u8)).into()
 }
 
 /// A scene ready to run: a sequence of the `SimulatedFrame` s that arrive, each simulated on access.

@@ -21,6 +21,9 @@ use crate::scene::{Gel, SceneError};
 pub struct ElasticLayer {
     /// Poisson's ratio, 0 to 0.5. Default: `0.48`, a soft silicone.
     pub poisson_ratio: f64,
+    /// Young's modulus, kPa. The surface does not depend on it, but the loads do. Default: `100`, a soft
+    /// silicone.
+    pub young_kpa: f64,
     /// Coulomb's coefficient between part and gel; 0 lets everything slip. Default: `0.8`.
     pub friction: f64,
     /// Cells of the contact problem per marker pitch. Default: `2`.
@@ -31,7 +34,7 @@ pub struct ElasticLayer {
 
 impl Default for ElasticLayer {
     fn default() -> Self {
-        Self { poisson_ratio: 0.48, friction: 0.8, cells_per_pitch: 2, border_pitches: 2 }
+        Self { poisson_ratio: 0.48, young_kpa: 100.0, friction: 0.8, cells_per_pitch: 2, border_pitches: 2 }
     }
 }
 
@@ -53,8 +56,11 @@ impl ElasticLayer {
 impl Effect for ElasticLayer {
     fn validate(&self, gel: &Gel) -> Result<(), SceneError> {
         let check = SceneError::check;
-        let Self { poisson_ratio: nu, friction, cells_per_pitch: cells, border_pitches: border } = *self;
+        let Self { poisson_ratio: nu, young_kpa, friction, cells_per_pitch: cells, border_pitches: border } =
+            *self;
         check((0.0..=0.5).contains(&nu), "effects.elastic_layer.poisson_ratio", nu, "0 to 0.5")?;
+        let valid = (1e-3..=1e6).contains(&young_kpa);
+        check(valid, "effects.elastic_layer.young_kpa", young_kpa, "0.001 to 1000000 kPa")?;
         check((0.0..=1e6).contains(&friction), "effects.elastic_layer.friction", friction, "0 to 1e6")?;
         let name = "effects.elastic_layer.cells_per_pitch";
         check((1..=16).contains(&cells), name, cells as f64, "1 to 16")?;

@@ -10,8 +10,6 @@ mod contact;
 mod error;
 mod fft;
 mod friction;
-mod influence;
-mod kernel;
 mod memory;
 mod nodes;
 mod operator;
@@ -19,7 +17,7 @@ mod window;
 
 pub use contact::Convergence;
 pub use error::LayerError;
-pub use kernel::{Compliance, Layer};
+pub use gelstereo_core::layer::{Compliance, Layer};
 pub(crate) use memory::Memory;
 pub use memory::PronyTerm;
 pub(crate) use nodes::{Motion, Nodes, Places};
@@ -27,8 +25,8 @@ pub(crate) use nodes::{Motion, Nodes, Places};
 use alloc::vec::Vec;
 use contact::Pressing;
 use friction::Holding;
+use gelstereo_core::layer::Influence;
 use gelstereo_core::stop::{NEVER, Stop};
-use influence::Influence;
 use operator::{Operator, Scratch};
 use window::Window;
 
@@ -111,7 +109,7 @@ impl LayerContact {
     /// # Errors
     /// [`LayerError::Invalid`] for an invalid layer, grid or friction.
     pub fn new(layer: Layer, grid: Grid, friction: f64) -> Result<Self, LayerError> {
-        layer.validate()?;
+        check_layer(&layer)?;
         grid.validate(&layer)?;
         LayerError::check((0.0..=1e6).contains(&friction), "friction", friction, "0 to 1e6")?;
         let logs = |cells: usize| (cells.max(MIN_SIDE).next_power_of_two() / MIN_SIDE).ilog2() as usize + 1;
@@ -389,12 +387,10 @@ impl Work {
     }
 }
 
-impl Layer {
-    fn validate(&self) -> Result<(), LayerError> {
-        let (h, nu) = (self.thickness_mm, self.poisson_ratio);
-        LayerError::check(h > 0.0 && h <= 1e6, "thickness_mm", h, "above 0, at most 1e6 mm")?;
-        LayerError::check((0.0..=0.5).contains(&nu), "poisson_ratio", nu, "0 to 0.5")
-    }
+fn check_layer(layer: &Layer) -> Result<(), LayerError> {
+    let (h, nu) = (layer.thickness_mm, layer.poisson_ratio);
+    LayerError::check(h > 0.0 && h <= 1e6, "thickness_mm", h, "above 0, at most 1e6 mm")?;
+    LayerError::check((0.0..=0.5).contains(&nu), "poisson_ratio", nu, "0 to 0.5")
 }
 
 impl Grid {

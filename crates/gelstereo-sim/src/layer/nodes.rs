@@ -5,8 +5,8 @@
 //! than transforms of all cells.
 
 use super::LayerContact;
-use super::influence::Influence;
 use alloc::vec::Vec;
+use gelstereo_core::layer::Influence;
 
 /// Markers on a grid of cells; the first one stands on cell (`border`, `border`).
 #[derive(Clone, Copy, Debug)]

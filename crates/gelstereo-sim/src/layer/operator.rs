@@ -1,8 +1,8 @@
 //! The layer's compliance over a window of cells: a convolution with the influence of one cell.
 
 use super::fft::{Complexes, Plane};
-use super::influence::Influence;
 use alloc::vec::Vec;
+use gelstereo_core::layer::Influence;
 
 /// Convolutions over a window of `plane.rows` by `plane.cols` cells. The kernels are even or odd along
 /// both axes, so their spectra are real or imaginary. They include the scale of the inverse transform.

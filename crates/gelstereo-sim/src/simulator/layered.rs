@@ -11,8 +11,10 @@ use gelstereo_core::math::DVec2;
 /// An elastic layer and the buffers of its solves.
 #[derive(Clone, Debug)]
 pub(super) struct Layered {
-    contact: LayerContact,
-    places: Places,
+    pub(super) contact: LayerContact,
+    pub(super) places: Places,
+    pub(super) young_kpa: f64,
+    pub(super) friction: f64,
     nodes: Nodes,
     sticks: bool,
     /// Further solves with the cells at their displaced places.
@@ -21,7 +23,7 @@ pub(super) struct Layered {
     /// Trajectory frame of the last solve.
     solved: Option<u64>,
     /// Rest places of the cells, and the places where the part's heights are evaluated, sensor x and y.
-    rest: Vec<DVec2>,
+    pub(super) rest: Vec<DVec2>,
     at: Vec<DVec2>,
     heights: Vec<f64>,
     /// Motion of the cells with the part, along the lattice's axes.
@@ -47,6 +49,8 @@ impl Layered {
         Ok(Some(Self {
             contact,
             places,
+            young_kpa: effect.young_kpa,
+            friction: effect.friction,
             nodes,
             sticks: effect.friction > 0.0,
             rounds: effects.large_strain.as_ref().map_or(0, |effect| effect.rounds),

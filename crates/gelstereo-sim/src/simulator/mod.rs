@@ -1,12 +1,14 @@
 //! Simulator: from a scene to marker positions and images.
 
 mod layered;
+mod loads;
 mod press;
 mod sheet;
 mod shutter;
 mod truth;
 
 use layered::Layered;
+pub use loads::{Loads, Stick};
 pub use truth::{DotImage, OUT_OF_SIGHT_PX, Sight, Truth};
 
 use crate::effects::{Bridge, Print, Pull, Sag, Speck, Spreading, Worn};

@@ -1,6 +1,7 @@
 //! Ground truth of one moment.
 
 use super::Simulator;
+use super::loads::Loads;
 use crate::render::{Dot, Ellipse};
 use crate::scene::SceneError;
 use alloc::vec::Vec;
@@ -18,6 +19,8 @@ pub struct Truth {
     pub indentation_mm: Vec<f64>,
     /// Whether the indenter touches the gel at this marker.
     pub in_contact: Vec<bool>,
+    /// Loads that the part exerts on the gel; `None` without `effects.elastic_layer`.
+    pub loads: Option<Loads>,
     /// Projections of the centres in the left image, inside it or not. With `ellipse_bias`, the centre
     /// of a dot's image is offset by up to f r² sin a cos a / Z² (tilt a): 0.016 px on the default rig.
     pub left_px: Vec<DVec2>,
@@ -117,6 +120,8 @@ impl Simulator {
         out.indentation_mm.extend_from_slice(&scratch.heights);
         out.in_contact.clear();
         out.in_contact.extend_from_slice(&scratch.stuck);
+        let mut loads = out.loads.take().unwrap_or_default();
+        out.loads = self.write_loads(&mut loads).then_some(loads);
         self.points(&mut out.points_mm);
     }
 
@@ -146,6 +151,7 @@ impl Simulator {
         out.indentation_mm.extend(points_mm.iter().map(|point| self.surface_mm - point.z));
         out.in_contact.clear();
         out.in_contact.resize(markers, false);
+        out.loads = None;
         self.look(frame, out)
     }
 

@@ -15,7 +15,7 @@
 //! - cross: c [x² - (1 - 2ν)(3 - 4ν) sinh² x] / (1 - ν) / D,
 //! - anti_plane: 2 (1 + ν) tanh x / (E k).
 
-use gelstereo_core::math::{exp, expm1};
+use crate::math::{exp, expm1};
 
 /// Material and thickness of an elastic layer.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -6,28 +6,29 @@
 //! which Gauss quadrature computes to round-off. Nothing is periodic: the layer is unbounded.
 
 use super::kernel::Layer;
+use crate::math::{asinh, atan, bessel_j0, bessel_j1, ceil, exp, ln, sqrt};
 use alloc::vec::Vec;
 use core::f64::consts::PI;
-use gelstereo_core::math::{asinh, atan, bessel_j0, bessel_j1, ceil, exp, ln, sqrt};
 
 /// Motion at offsets (column, row) in cells, both from 0 to `side - 1`, row-major, for a traction of one
 /// Young's modulus on the square cell at 0. Negative offsets follow by symmetry.
 #[derive(Clone, Debug)]
-pub(crate) struct Influence {
-    pub(crate) side: usize,
+pub struct Influence {
+    /// Number of offsets along each axis.
+    pub side: usize,
     /// Into the layer under a pressure; even along both axes.
-    pub(crate) normal: Vec<f64>,
+    pub normal: Vec<f64>,
     /// Along x under a pressure; odd along x, even along y. Its transpose is the motion along y.
-    pub(crate) cross: Vec<f64>,
+    pub cross: Vec<f64>,
     /// Along x under a traction along x; even along both axes. Its transpose is the y counterpart.
-    pub(crate) along: Vec<f64>,
+    pub along: Vec<f64>,
     /// Along y under a traction along x, and the reverse; odd along both axes.
-    pub(crate) across: Vec<f64>,
+    pub across: Vec<f64>,
 }
 
 impl Influence {
     /// For square cells of side `cell_mm` and offsets of up to `side` cells.
-    pub(crate) fn new(layer: &Layer, cell_mm: f64, side: usize) -> Self {
+    pub fn new(layer: &Layer, cell_mm: f64, side: usize) -> Self {
         let mut influence = Self::of_half_space(layer, cell_mm, side);
         let rest = Radials::new(layer, cell_mm, side as f64 * cell_mm);
         for row in 0..side {
@@ -212,7 +213,7 @@ impl Hankel {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use gelstereo_core::math::{cos, sin};
+    use crate::math::{cos, sin};
 
     /// At and between the tabulated distances, for thick and thin layers: 1e-12 of the largest, ten
     /// times the estimated error.

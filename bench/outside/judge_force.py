@@ -1,0 +1,166 @@
+"""Force and torque on contacts solved by finite elements: `python -m outside.judge_force [--half w|j]`.
+
+Markers 0.9 mm apart have the true displacement and noise of 1.5 um sideways and 5 um along the line of sight.
+The markers in contact are given, so that the figures are those of the force alone. The true force is the
+integral of the stored pressures and tractions. Gels are neo-Hookean and of finite width; the estimator's
+layer is linear and unbounded.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+import gelstereo
+
+from .contacts import table
+from .fields import DATA, Field
+
+Array = npt.NDArray[np.float64]
+
+ROWS, PITCH_MM, SURFACE_MM = 25, 0.9, 30.0
+#: Places of the lattice beside the part's first touch.
+OFFSETS_MM = ((0.0, 0.0), (0.2, -0.13), (0.45, 0.3))
+SIGMA_MM = np.array([0.0015, 0.0015, 0.005])
+#: Unit of the stored pressures.
+SHEAR_MODULUS_KPA = 30.0
+
+
+@dataclass(frozen=True)
+class Case:
+    """Estimated and true force of one contact. x and y lie in the gel's plane; z is into the layer."""
+
+    gel: str
+    strain: float
+    touching: int
+    estimate: Array
+    truth: Array
+    covariance: Array
+    misfit: float
+
+    @property
+    def pressing_error(self) -> float:
+        """Relative."""
+        return float(self.estimate[2] / self.truth[2] - 1.0)
+
+    @property
+    def shear_error(self) -> float:
+        """In units of the pressing force."""
+        return float(np.hypot(*(self.estimate - self.truth)[:2]) / self.truth[2])
+
+    @property
+    def squared(self) -> float:
+        """Normalised squared error of the force: 3 in the mean if the covariance is right."""
+        error = (self.estimate - self.truth)[:3]
+        return float(error @ np.linalg.solve(self.covariance[:3, :3], error))
+
+
+def true_force(contact: Field, stage: int) -> Array:
+    """Force along x, y and into the layer, over the shear modulus, mm²."""
+    arrays = contact.arrays
+    if "r" in arrays:
+        r = np.linspace(0.0, arrays["r"][-1], 20_001)
+        pressure = np.interp(r, arrays["r"], arrays["pressure"][stage])
+        return np.array([0.0, 0.0, np.trapezoid(2.0 * np.pi * r * pressure, r)])
+    area = np.outer(np.gradient(arrays["y"]), np.gradient(arrays["x"]))
+    traction = arrays["traction"][stage]
+    parts = (traction[..., 0], traction[..., 1], arrays["pressure"][stage])
+    return np.array([float((area * part).sum()) for part in parts])
+
+
+def cases(half: str | None = None) -> Iterator[Case]:
+    """All contacts of a half with at least one marker in contact, at each place of the lattice."""
+    rng = np.random.default_rng(20211)
+    gels = table()["gels"]
+    for path in sorted(DATA.glob("*.npz")):
+        contact = Field.load(path.stem)
+        if "gel" not in contact.meta or half not in (None, contact.meta["half"]):
+            continue
+        gel = gels[contact.meta["gel"]]
+        for stage, (depth_mm, *_) in enumerate(contact.stages):
+            for offset in OFFSETS_MM:
+                case = _case(contact, stage, gel, offset, rng)
+                if case is not None:
+                    yield Case(contact.meta["gel"], depth_mm / gel["thickness_mm"], *case)
+
+
+def _case(
+    contact: Field, stage: int, gel: dict[str, float], offset: tuple[float, float], rng: np.random.Generator
+) -> tuple[int, Array, Array, Array, float] | None:
+    along = PITCH_MM * (np.arange(ROWS) - ROWS // 2)
+    x, y = (axis.ravel() for axis in np.meshgrid(along + offset[0], along + offset[1]))
+    places = np.column_stack([x, y])
+    patch = contact.touching(stage, places)
+    if not patch.any():
+        return None
+    rest = np.column_stack([places, np.full(len(places), SURFACE_MM)])
+    moved = rest + contact.motion(stage, places) + rng.normal(size=rest.shape) * SIGMA_MM
+    covariance = np.tile(np.diag(SIGMA_MM**2), (len(rest), 1, 1))
+    young_kpa = 2.0 * (1.0 + gel["poisson_ratio"]) * SHEAR_MODULUS_KPA
+    params = gelstereo.Params().replace(
+        force={
+            "method": "ridge",
+            "thickness_mm": gel["thickness_mm"],
+            "young_kpa": young_kpa,
+            "poisson_ratio": gel["poisson_ratio"],
+        }
+    )
+    estimator = gelstereo.ForceEstimator(
+        gelstereo.RestSurface(rest), params, cols=ROWS, covariance_mm2=1e-6 * covariance
+    )
+    _, wrench = estimator.run(moved, covariance, patch.tolist())
+    if wrench is None:
+        return None
+    # The camera sees the gel from below: into the layer is -z of the sensor.
+    to = np.diag([1.0, 1.0, -1.0])
+    whole = np.kron(np.eye(2), to)
+    truth = true_force(contact, stage) * SHEAR_MODULUS_KPA * 1e-3
+    return (
+        int(patch.sum()),
+        to @ wrench.force_n,
+        truth,
+        whole @ wrench.covariance @ whole.T,
+        wrench.misfit,
+    )
+
+
+def _row(name: str, found: list[Case]) -> str:
+    pressing = np.array([case.pressing_error for case in found])
+    shear = np.array([case.shear_error for case in found])
+    squared = np.array([case.squared for case in found])
+    rms = float(np.sqrt(np.mean(pressing**2)))
+    # 7.815 is the 95 % point of chi squared with three degrees of freedom.
+    return (
+        f"| {name} | {len(found)} | {100 * pressing.mean():+.1f} | {100 * np.median(np.abs(pressing)):.1f} | "
+        f"{100 * rms:.1f} | {100 * np.sqrt(np.mean(shear**2)):.1f} | {squared.mean():.1f} | "
+        f"{100 * np.mean(squared < 7.815):.0f} |"
+    )
+
+
+def main() -> None:
+    """Print a table: groups of contacts, errors of the force, and of its covariance."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--half", choices=("w", "j"))
+    arguments = parser.parse_args()
+    groups: dict[str, list[Case]] = defaultdict(list)
+    for case in cases(arguments.half):
+        deep = "an eighth" if case.strain <= 0.125 else "a fifth" if case.strain <= 0.2 else "a third"
+        name = f"pressed to {deep} of the thickness" if case.touching >= 4 else "one to three markers"
+        groups[name].append(case)
+        groups["all"].append(case)
+    print(
+        "| contacts | count | pressing force, mean error, % | median | rms "
+        "| shear, rms, % of the pressing force | normalised squared error (3) | within the 95 % region, % |"
+    )
+    print("|---|---|---|---|---|---|---|---|")
+    for name in sorted(groups, key=lambda name: (name == "all", name)):
+        print(_row(name, groups[name]))
+
+
+if __name__ == "__main__":
+    main()

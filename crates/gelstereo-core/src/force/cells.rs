@@ -1,0 +1,131 @@
+//! Cells of a contact, and the markers around them.
+
+use alloc::vec::Vec;
+
+/// Largest number of unknown tractions. Larger contacts have the same traction on blocks of cells.
+pub(super) const MAX_BLOCKS: usize = 64;
+
+/// The square around a marker.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Cell {
+    pub row: usize,
+    pub col: usize,
+    /// Which traction it has.
+    pub block: usize,
+}
+
+const NONE: u32 = u32::MAX;
+
+/// Cells that a contact may load: those of its markers and their eight neighbours, since the part touches
+/// gel between the markers too.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Cells {
+    pub cells: Vec<Cell>,
+    /// Number of tractions.
+    pub blocks: usize,
+    /// Whether a cell lies on the lattice's border.
+    pub is_cut: bool,
+    /// Indices of the markers within reach.
+    pub near: Vec<usize>,
+    is_loaded: Vec<bool>,
+    block_of: Vec<u32>,
+}
+
+impl Cells {
+    /// Reserves memory for a lattice.
+    pub fn reserve(&mut self, markers: usize) {
+        self.cells.reserve(markers);
+        self.near.reserve(markers);
+        self.is_loaded.reserve(markers);
+        self.block_of.reserve(markers);
+    }
+
+    /// Selects the cells of a patch. Returns whether there are any.
+    pub fn choose(&mut self, patch: &[bool], cols: usize) -> bool {
+        let rows = patch.len() / cols;
+        self.is_loaded.clear();
+        self.is_loaded.resize(patch.len(), false);
+        self.is_cut = false;
+        for (n, _) in patch.iter().enumerate().filter(|&(_, &in_patch)| in_patch) {
+            let (row, col) = (n / cols, n % cols);
+            self.is_cut |= row == 0 || col == 0 || row + 1 == rows || col + 1 == cols;
+            for row in row.saturating_sub(1)..(row + 2).min(rows) {
+                for col in col.saturating_sub(1)..(col + 2).min(cols) {
+                    self.is_loaded[row * cols + col] = true;
+                }
+            }
+        }
+        let mut side = 1;
+        while self.divide(cols, side) > MAX_BLOCKS {
+            side += 1;
+        }
+        self.blocks > 0
+    }
+
+    /// Divides the loaded cells into blocks of this many rows and columns; returns their number.
+    fn divide(&mut self, cols: usize, side: usize) -> usize {
+        let Self { cells, blocks, is_loaded, block_of, .. } = self;
+        cells.clear();
+        block_of.clear();
+        block_of.resize(is_loaded.len(), NONE);
+        *blocks = 0;
+        for (n, _) in is_loaded.iter().enumerate().filter(|&(_, &is_loaded)| is_loaded) {
+            let (row, col) = (n / cols, n % cols);
+            let block = &mut block_of[row / side * cols + col / side];
+            if *block == NONE {
+                *block = *blocks as u32;
+                *blocks += 1;
+            }
+            cells.push(Cell { row, col, block: *block as usize });
+        }
+        *blocks
+    }
+
+    /// Lists the markers of which the nearest cell is within this distance.
+    pub fn surround(&mut self, cols: usize, reach_cells: f64) {
+        let Self { cells, near, is_loaded, .. } = self;
+        let reach2 = reach_cells * reach_cells;
+        let is_near = |n: &usize| {
+            let (row, col) = (n / cols, n % cols);
+            cells.iter().any(|cell| {
+                let (down, along) = (cell.row.abs_diff(row), cell.col.abs_diff(col));
+                (down * down + along * along) as f64 <= reach2
+            })
+        };
+        near.clear();
+        near.extend((0..is_loaded.len()).filter(is_near));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        /// Every marker of the patch and its neighbours have a cell, no other has, and there are never too
+        /// many tractions.
+        #[test]
+        fn cells_are_those_of_the_patch_and_beside_it(
+            (rows, cols) in (2_usize..30, 2_usize..30), seed in any::<u64>(), share in 0.0..1.0_f64,
+        ) {
+            let mut random = crate::math::random::Stream::new(seed, "patch");
+            let patch: Vec<bool> = (0..rows * cols).map(|_| random.uniform() < share).collect();
+            let mut cells = Cells::default();
+            let any = cells.choose(&patch, cols);
+            prop_assert_eq!(any, patch.contains(&true));
+            prop_assert!(cells.blocks <= MAX_BLOCKS);
+            for (row, col) in (0..rows).flat_map(|row| (0..cols).map(move |col| (row, col))) {
+                let touches = |n: usize| {
+                    patch[n] && (n / cols).abs_diff(row) <= 1 && (n % cols).abs_diff(col) <= 1
+                };
+                let expected = (0..rows * cols).any(touches);
+                let found = cells.cells.iter().filter(|cell| (cell.row, cell.col) == (row, col)).count();
+                prop_assert_eq!(found, usize::from(expected));
+            }
+            let used: Vec<bool> =
+                (0..cells.blocks).map(|b| cells.cells.iter().any(|cell| cell.block == b)).collect();
+            prop_assert!(!used.contains(&false));
+        }
+    }
+}

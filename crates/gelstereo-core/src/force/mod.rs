@@ -1,0 +1,22 @@
+//! Tractions and the wrench of a contact, from the motion of the markers.
+//!
+//! The gel is an elastic layer ([`crate::layer`]): linear elasticity, bonded to its plate, unbounded
+//! sideways. The unknowns are uniform tractions on the cells of the contact, which are the squares around
+//! its markers. [`ForceEstimator`] finds the most probable ones, given the motion of the markers in and
+//! around the contact with their covariances, and states the [`Wrench`] with its covariance.
+//!
+//! The weights of the prior come from the data: the evidence is maximised over the variances of pressures,
+//! shears and noise (MacKay 1992, "Bayesian interpolation"). If the layer does not explain the motion to
+//! within the noise, the covariance widens.
+
+mod cells;
+mod cone;
+mod equations;
+mod error;
+mod estimator;
+mod evidence;
+mod wrench;
+
+pub use error::ForceError;
+pub use estimator::{ForceEstimator, MovedMarkers};
+pub use wrench::Wrench;

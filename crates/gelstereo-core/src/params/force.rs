@@ -1,0 +1,88 @@
+//! Force and torque of a contact.
+
+use super::{ParamsError, check};
+
+/// How tractions and the wrench are computed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "snake_case"))]
+pub enum ForceMethod {
+    /// They are not.
+    #[default]
+    None,
+    /// The most probable tractions on the cells of the contact, which may also pull.
+    Ridge,
+    /// The most probable ones of which none pulls, and none drags by more than `friction` times its pressure.
+    /// The wrench is that of `ridge`, which is more accurate: with coarse cells, bounds bias the sum.
+    Bounded,
+}
+
+/// Force and torque of a contact, from the motion of the markers and the gel's elasticity.
+#[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(
+    feature = "serde",
+    derive(serde::Serialize, serde::Deserialize),
+    serde(default, deny_unknown_fields)
+)]
+pub struct ForceParams {
+    /// How tractions and the wrench are computed. Default: `none`. Set `bounded` once `young_kpa` and
+    /// `thickness_mm` are known.
+    pub method: ForceMethod,
+    /// Thickness of the gel, from the plate that it is bonded to, to its skin. Valid: 0.1 to 1000 mm.
+    /// Default: none. Set it for every method.
+    #[cfg_attr(feature = "serde", serde(skip_serializing_if = "Option::is_none"))]
+    pub thickness_mm: Option<f64>,
+    /// Young's modulus of the gel. Forces are proportional to it. Valid: 0.001 to 1000000 kPa. Default:
+    /// none. Set it for every method, to what a known weight tells.
+    #[cfg_attr(feature = "serde", serde(skip_serializing_if = "Option::is_none"))]
+    pub young_kpa: Option<f64>,
+    /// Standard deviation of `young_kpa`, which all forces share. Valid: 0 to 1000000 kPa. Default: `0` kPa.
+    /// Set it to what the calibration states.
+    pub young_sigma_kpa: f64,
+    /// Poisson's ratio of the gel. Valid: 0 to 0.5. Default: `0.48`, of soft silicone.
+    /// Change it if it was measured.
+    pub poisson_ratio: f64,
+    /// Coulomb's coefficient between gel and part, for `bounded`. Valid: 0 to 100. Default: none, a cell may
+    /// be dragged by any traction where it is pressed. Set it if it is known.
+    #[cfg_attr(feature = "serde", serde(skip_serializing_if = "Option::is_none"))]
+    pub friction: Option<f64>,
+}
+
+impl Default for ForceParams {
+    fn default() -> Self {
+        Self {
+            method: ForceMethod::None,
+            thickness_mm: None,
+            young_kpa: None,
+            young_sigma_kpa: 0.0,
+            poisson_ratio: 0.48,
+            friction: None,
+        }
+    }
+}
+
+impl ForceParams {
+    /// Checks every setting against its meaning.
+    ///
+    /// # Errors
+    /// The first [`ParamsError`] found.
+    pub fn validate(&self) -> Result<(), ParamsError> {
+        let number = |name, found: Option<f64>, range: core::ops::RangeInclusive<f64>, valid| {
+            found.map_or(Ok(()), |found| check(range.contains(&found), name, found, valid))
+        };
+        number("force.thickness_mm", self.thickness_mm, 0.1..=1e3, "0.1 to 1000 mm")?;
+        number("force.young_kpa", self.young_kpa, 1e-3..=1e6, "0.001 to 1000000 kPa")?;
+        number("force.young_sigma_kpa", Some(self.young_sigma_kpa), 0.0..=1e6, "0 to 1000000 kPa")?;
+        number("force.poisson_ratio", Some(self.poisson_ratio), 0.0..=0.5, "0 to 0.5")?;
+        number("force.friction", self.friction, 0.0..=100.0, "0 to 100")?;
+        let setting = match self.method {
+            ForceMethod::None => return Ok(()),
+            ForceMethod::Ridge => "force.method = \"ridge\"",
+            ForceMethod::Bounded => "force.method = \"bounded\"",
+        };
+        let needs = [(self.thickness_mm, "force.thickness_mm"), (self.young_kpa, "force.young_kpa")];
+        match needs.into_iter().find(|(found, _)| found.is_none()) {
+            Some((_, required)) => Err(ParamsError::Requires { setting, required }),
+            None => Ok(()),
+        }
+    }
+}
