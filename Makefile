@@ -66,8 +66,8 @@ test-long: prerequisites $(BIN)/python lint
 	@.ci/long-prerequisites.sh
 	$(BIN)/pip install --quiet '.[test,long]' './bench[batch,physics]'
 	cargo build --release --quiet -p gelstereo-host --bins --example world_server
-	GELSTEREO_KILLS=50 cargo test --quiet --workspace --test all -- faults::
-	GELSTEREO_LONG_FRAMES=12000 cargo test --quiet --workspace --test long_run
+	GELSTEREO_KILLS=25 cargo test --quiet --workspace --test all -- faults::
+	GELSTEREO_LONG_FRAMES=6000 cargo test --quiet --workspace --test long_run
 	GELSTEREO_SOAK_FRAMES=2000 cargo test --quiet -p gelstereo-core --test all -- row_35_a_localizer
 	@# Many seeds and many configurations: worth a build of the host with optimisation.
 	cargo test --quiet --config 'profile.dev.package.gelstereo-host.opt-level=2' --workspace --test all -- --ignored --skip faults::
@@ -92,7 +92,7 @@ explore: prerequisites
 	cargo test --workspace --quiet
 
 # So many seconds for each target; a find ends it.
-FUZZ_SECONDS ?= 5
+FUZZ_SECONDS ?= 4
 fuzz: prerequisites
 	cargo fmt --manifest-path fuzz/Cargo.toml --check
 	fuzz/run.sh $(FUZZ_SECONDS)

@@ -193,6 +193,7 @@ PUBLIC_MODULES = [
         "calibrate",
         "cameras",
         "extras",
+        "force",
         "geometry",
         "grippers",
         "hid",

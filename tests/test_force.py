@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
+import tamaas
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
@@ -164,6 +165,42 @@ def test_forces_of_gels_solved_by_finite_elements() -> None:
     assert np.sqrt(np.mean([case.shear_error**2 for case in found])) < 0.01
     # Three components: between half and one and a half times what is right.
     assert 1.5 < np.mean([case.squared for case in found]) < 4.5
+
+
+@pytest.mark.parametrize(("radius_mm", "force_n"), [(3.0, 2.0), (6.0, 5.0), (10.0, 4.0)])
+def test_a_thick_gel_is_the_half_space_of_tamaas(radius_mm: float, force_n: float) -> None:
+    """A ball pressed with a known force into an incompressible half-space of 1 N/mm² (boundary elements). Its
+    surface does not move sideways. Squares of one pitch cost up to 2 % of the force.
+    """
+    cell, count = PITCH_MM / 6, 150
+    along = (np.arange(count) - count // 2) * cell
+    x, y = np.meshgrid(along, along)
+    ball = radius_mm - np.sqrt(np.maximum(radius_mm**2 - x**2 - y**2, 0.0))
+    model = tamaas.ModelFactory.createModel(tamaas.model_type.basic_2d, [count * cell] * 2, [count] * 2)
+    model.E, model.nu = 1.0, 0.5
+    tamaas.ModelFactory.registerNonPeriodic(model, "open")
+    solver = tamaas.PolonskyKeerRey(model, np.ascontiguousarray(-ball), 1e-12)
+    solver.setIntegralOperator("open")
+    solver.solve(force_n / (count * cell) ** 2)
+    pressure = np.asarray(model.traction).reshape(count, count)
+    assert pressure.sum() * cell**2 == pytest.approx(force_n, rel=1e-6)
+    # The solver leaves out a rigid motion. In the corner, the sum of Boussinesq's point forces is exact.
+    far = np.hypot(x - x[0, 0], y - y[0, 0])
+    corner = (pressure[pressure > 0] / far[pressure > 0]).sum() * cell**2 * (1 - 0.5**2) / np.pi
+    motion = np.asarray(model.displacement).reshape(count, count)
+    motion = motion - motion[0, 0] + corner
+
+    # Markers on every sixth cell; the middle one lies under the ball.
+    picked = count // 2 + 6 * (np.arange(ROWS) - ROWS // 2)
+    into = motion[np.ix_(picked, picked)].ravel()
+    rest = lattice()
+    moved = rest - np.column_stack([0 * into, 0 * into, into])
+    patch = (pressure[np.ix_(picked, picked)] > 0).ravel()
+    covariance = np.tile(np.diag(SIGMA_MM**2), (len(rest), 1, 1))
+    _, wrench = estimator(rest, 500.0, 0.5).run(moved, covariance, patch.tolist())
+    assert wrench is not None
+    assert -wrench.force_n[2] == pytest.approx(force_n, rel=0.02)
+    assert np.hypot(*wrench.force_n[:2]) < 0.01 * force_n
 
 
 @pytest.fixture(scope="module")

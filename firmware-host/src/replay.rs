@@ -276,7 +276,7 @@ impl Replay {
                 }
             }
             Topic::Stage => self.request(messages::read_string(data).map_err(fail)?)?,
-            Topic::Points | Topic::Pose | Topic::Gripper | Topic::Robot | Topic::Contact => {}
+            Topic::Points | Topic::Wrench | Topic::Pose | Topic::Gripper | Topic::Robot | Topic::Contact => {}
         }
         Ok(())
     }

@@ -12,6 +12,7 @@ mod effects;
 mod effects_off;
 mod force;
 mod gallery;
+mod history;
 mod label_slips;
 mod lattice;
 mod layer_allocation;

@@ -21,6 +21,9 @@ pub fn rihs01(name: &str) -> Option<&'static str> {
         "geometry_msgs/msg/PoseWithCovarianceStamped" => {
             "RIHS01_26432f9803e43727d3c8f668d1fdb3c630f548af631e2f4e31382371bfea3b6e"
         }
+        "geometry_msgs/msg/WrenchStamped" => {
+            "RIHS01_8dc3deaf06b2ab281f9f9a742a8961c328ca7cec16e3fd6586d3a5c83fa78f77"
+        }
         _ => return None,
     })
 }

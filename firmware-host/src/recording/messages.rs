@@ -4,7 +4,8 @@
 use super::cdr::{CdrError, Decoder, Encoder};
 use crate::gripper::GripperStatus;
 use crate::source::Gray;
-use gelstereo_core::math::Pose;
+use gelstereo_core::force::Wrench;
+use gelstereo_core::math::{DVec3, Pose};
 use gelstereo_core::pipeline::Frame;
 
 /// The sensor frame; "optical" is ROS's term for x right, y down, z away from the camera (REP 103).
@@ -145,6 +146,15 @@ pub fn pose(time_ns: u64, frame_id: &str, pose: &Pose) -> Vec<u8> {
 pub fn pose_with_covariance(time_ns: u64, pose: &Pose, covariance: &[[f64; 6]; 6]) -> Vec<u8> {
     let encoder = pose_fields(header(time_ns, SENSOR_FRAME), pose);
     covariance.iter().fold(encoder, |encoder, row| encoder.f64s(row)).finish()
+}
+
+/// `geometry_msgs/msg/WrenchStamped` in the sensor frame: newtons, and newton metres about the frame's
+/// origin.
+#[must_use]
+pub fn wrench(time_ns: u64, wrench: &Wrench) -> Vec<u8> {
+    let Wrench { force_n, torque_nmm, .. } = wrench.about(DVec3::ZERO);
+    let torque_nm = torque_nmm * METRES_PER_MM;
+    header(time_ns, SENSOR_FRAME).f64s(&force_n.to_array()).f64s(&torque_nm.to_array()).finish()
 }
 
 /// `sensor_msgs/msg/JointState` of the gripper: opening width in metres, and effort 1 while it holds an

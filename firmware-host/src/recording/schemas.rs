@@ -79,6 +79,17 @@ pub const POINT_CLOUD: Schema = Schema {
     ),
 };
 
+/// `geometry_msgs/msg/WrenchStamped`.
+pub const WRENCH: Schema = Schema {
+    name: "geometry_msgs/msg/WrenchStamped",
+    definition: concat!(
+        "std_msgs/Header header\nWrench wrench\n",
+        header!(),
+        part!("geometry_msgs/Wrench", "Vector3 force\nVector3 torque\n"),
+        part!("geometry_msgs/Vector3", "float64 x\nfloat64 y\nfloat64 z\n")
+    ),
+};
+
 /// `sensor_msgs/msg/JointState`.
 pub const JOINT_STATE: Schema = Schema {
     name: "sensor_msgs/msg/JointState",

@@ -21,6 +21,8 @@ pub enum Topic {
     Frame,
     /// Part pose in the sensor frame with its covariance, metres and radians.
     Pose,
+    /// Force and torque of the part on the gel, newtons and newton metres.
+    Wrench,
     /// Gripper width, metres.
     Gripper,
     /// Gripper pose in the robot's base frame, metres.
@@ -35,7 +37,7 @@ pub enum Topic {
 
 impl Topic {
     /// All topics, in the order of their channels.
-    pub const ALL: [Self; 13] = [
+    pub const ALL: [Self; 14] = [
         Self::LeftImage,
         Self::RightImage,
         Self::LeftCompressed,
@@ -44,6 +46,7 @@ impl Topic {
         Self::Points,
         Self::Frame,
         Self::Pose,
+        Self::Wrench,
         Self::Gripper,
         Self::Robot,
         Self::Stage,
@@ -63,6 +66,7 @@ impl Topic {
             Self::Points => "/gelstereo/points",
             Self::Frame => "/gelstereo/frame",
             Self::Pose => "/gelstereo/pose",
+            Self::Wrench => "/gelstereo/wrench",
             Self::Gripper => "/gripper/state",
             Self::Robot => "/robot/gripper_pose",
             Self::Stage => "/gelstereo/stage",
@@ -82,6 +86,7 @@ impl Topic {
             Self::Points => schemas::POINT_CLOUD,
             Self::Frame | Self::Stage | Self::Capture | Self::Contact => schemas::STRING,
             Self::Pose => schemas::POSE_WITH_COVARIANCE,
+            Self::Wrench => schemas::WRENCH,
             Self::Gripper => schemas::JOINT_STATE,
             Self::Robot => schemas::POSE,
         }

@@ -3,6 +3,7 @@
 use super::contact::Contact;
 use crate::notes::tracking_name;
 use crate::source::Capture;
+use gelstereo_core::force::Wrench;
 use gelstereo_core::math::sqrt;
 use gelstereo_core::pipeline::Frame;
 use gelstereo_core::register::{Registration, TrackingStatus};
@@ -21,6 +22,9 @@ pub struct FrameLine {
     /// Contact; absent until the rest state is learned.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub contact: Option<Contact>,
+    /// Force and torque of the part on the gel; absent without contact, or without `force.method`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub wrench: Option<WrenchLine>,
     /// The part's pose; absent when it is not localized.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub pose: Option<PoseLine>,
@@ -33,6 +37,36 @@ pub struct FrameLine {
     /// Why the frame could not be processed or the part could not be localized.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub error: Option<String>,
+}
+
+/// Force and torque of the part on the gel, in the sensor frame.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct WrenchLine {
+    /// Force, newtons.
+    pub force_n: [f64; 3],
+    /// Torque about `about_mm`, newton millimetres.
+    pub torque_nmm: [f64; 3],
+    /// Centroid of the rest markers.
+    pub about_mm: [f64; 3],
+    /// Standard deviations of force and torque.
+    pub sigma: [f64; 6],
+    /// Unexplained motion over its variance; 1 is none.
+    pub misfit: f64,
+    /// Whether the contact reaches the lattice's border, so that forces beyond it are missing.
+    pub is_cut: bool,
+}
+
+impl From<&Wrench> for WrenchLine {
+    fn from(wrench: &Wrench) -> Self {
+        Self {
+            force_n: wrench.force_n.to_array(),
+            torque_nmm: wrench.torque_nmm.to_array(),
+            about_mm: wrench.about_mm.to_array(),
+            sigma: core::array::from_fn(|i| sqrt(wrench.covariance[i][i])),
+            misfit: wrench.misfit,
+            is_cut: wrench.is_cut,
+        }
+    }
 }
 
 /// Pose of the held part.
@@ -72,6 +106,7 @@ impl FrameLine {
     pub fn add_frame(&mut self, frame: &Frame, with_points: bool) {
         self.index = Some(frame.index);
         self.digest = Some(format!("{:016x}", frame.digest()));
+        self.wrench = frame.wrench.as_ref().map(WrenchLine::from);
         self.points_mm = with_points.then(|| frame.points_mm.iter().map(|point| point.to_array()).collect());
     }
 }

@@ -225,6 +225,9 @@ impl<'a> Sense<'a> {
         let with_points = self.parts.outputs.lines.as_ref().is_some_and(|lines| lines.with_points);
         line.add_frame(frame, with_points);
         self.parts.outputs.message(Topic::Points, time_ns, &messages::points(time_ns, frame));
+        if let Some(wrench) = &frame.wrench {
+            self.parts.outputs.message(Topic::Wrench, time_ns, &messages::wrench(time_ns, wrench));
+        }
         match self.rest.step(frame, &self.parts.config.sense) {
             RestStep::Learning => return,
             RestStep::Restart => {

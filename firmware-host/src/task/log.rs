@@ -120,7 +120,12 @@ impl<'a> Log<'a> {
         self.trace.sensed(pair, result, sensing.frame());
         self.frames += 1;
         match result {
-            Ok(()) => self.record(Topic::Points, || messages::points(time_ns, sensing.frame())),
+            Ok(()) => {
+                self.record(Topic::Points, || messages::points(time_ns, sensing.frame()));
+                if let Some(wrench) = &sensing.frame().wrench {
+                    self.record(Topic::Wrench, || messages::wrench(time_ns, wrench));
+                }
+            }
             Err(_) => self.bad_frames += 1,
         }
     }

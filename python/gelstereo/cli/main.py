@@ -23,6 +23,10 @@ COMMANDS = {
     ),
     "inspect": ("gelstereo.cli.inspect", "an image of a gel to what it shows, and the settings for it"),
     "setup": ("gelstereo.setup.command", "images of a new sensor to one sensor file and a report"),
+    "calibrate-force": (
+        "gelstereo.force.command",
+        "known weights and their recording to the gel's modulus, with a report",
+    ),
     "compare": ("gelstereo.setup.compare_command", "two sensor files: what differs, and what it means"),
     "tune": ("gelstereo.tune.command", "presses or a scene, and a goal, to the settings that reach it"),
     "localize": ("gelstereo.cli.localize", "a point cloud or stereo images, and a template, to a pose"),

@@ -168,6 +168,81 @@ impl Simulator {
         Self::moment(slf, contact.as_ref(), frame.0 as u64)
     }
 
+    /// Move the part on from its last pose: the gel is dragged along, sticks and slips.
+    ///
+    /// The result depends on all calls since the part was last taken away. The part moves along the shortest
+    /// path, in steps of at most 0.05 mm. The first pose is pressed in without sideways motion.
+    ///
+    /// Parameters
+    /// ----------
+    /// t_sensor_object : (4, 4) array_like, optional
+    ///     New pose of the part. None takes it away.
+    /// frame : int
+    ///     Frame index, which seeds the noise and determines the time of smears and gel motion.
+    ///
+    /// Returns
+    /// -------
+    /// SimulatedFrame
+    ///
+    /// Raises
+    /// ------
+    /// SceneError
+    ///     If the scene has no ``effects.elastic_layer``, has ``relaxation``, or has no indenter.
+    #[pyo3(
+        signature = (t_sensor_object=None, *, frame=Count(0)),
+        text_signature = "($self, t_sensor_object=None, *, frame=0)"
+    )]
+    fn advance(
+        slf: &Bound<'_, Self>,
+        t_sensor_object: Option<&Bound<'_, PyAny>>,
+        frame: Count,
+    ) -> PyResult<SimulatedFrame> {
+        let pose = t_sensor_object.map(|pose| arrays::pose(pose, "t_sensor_object")).transpose()?;
+        if pose.is_some() && slf.get().scene.get().inner.indenter.is_none() {
+            return Err(SceneError::new_err(NO_INDENTER));
+        }
+        let this = slf.get();
+        let truth = slf.py().detach(|| {
+            let mut truth = sim::Truth::default();
+            this.lock().advance(pose, frame.0 as u64, &mut truth)?;
+            Ok::<_, sim::SceneError>(truth)
+        });
+        let contact = pose.map(sim::ContactState::pressed);
+        SimulatedFrame::new(slf, frame.0 as u64, contact.as_ref(), truth.map_err(raise)?)
+    }
+
+    /// Move a pose along z until the part presses with a force.
+    ///
+    /// Parameters
+    /// ----------
+    /// t_sensor_object : (4, 4) array_like
+    /// force_n : float
+    ///     Pressing force.
+    ///
+    /// Returns
+    /// -------
+    /// (4, 4) float64
+    ///     For `press` and `advance`.
+    ///
+    /// Raises
+    /// ------
+    /// SceneError
+    ///     If the scene has no ``effects.elastic_layer`` or no indenter, or the force would need more than
+    ///     0.8 of the gel's thickness.
+    fn pressed_with(
+        slf: &Bound<'_, Self>,
+        t_sensor_object: &Bound<'_, PyAny>,
+        force_n: f64,
+    ) -> PyResult<Matrix> {
+        let pose = arrays::pose(t_sensor_object, "t_sensor_object")?;
+        let this = slf.get();
+        let found = slf.py().detach(|| this.lock().pressed_with(pose, force_n)).map_err(raise)?;
+        let found = found.ok_or_else(|| {
+            SceneError::new_err("a pressing force needs an indenter and effects.elastic_layer; add them")
+        })?;
+        arrays::pose_matrix(slf.py(), &found)
+    }
+
     /// Render markers at given positions, for example from another sensor's recording.
     ///
     /// Parameters

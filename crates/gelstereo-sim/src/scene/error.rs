@@ -58,6 +58,8 @@ pub enum SceneError {
         /// The effect.
         effect: &'static str,
     },
+    /// A contact with a history needs an elastic layer without relaxation.
+    NeedsHistory,
     /// Keyframes without an indenter.
     NothingMoves {
         /// Keyframes found.
@@ -123,6 +125,11 @@ impl core::fmt::Display for SceneError {
                 f,
                 "effects.{effect} refines effects.elastic_layer, which the scene does not list; add it or \
                 remove effects.{effect}"
+            ),
+            Self::NeedsHistory => write!(
+                f,
+                "a part that moves on from its last pose needs effects.elastic_layer without \
+                 effects.relaxation; add the layer, or press each pose by itself"
             ),
             Self::NothingMoves { keyframes } => write!(
                 f,

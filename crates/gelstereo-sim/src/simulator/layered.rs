@@ -1,6 +1,7 @@
 //! The gel as an elastic layer under a part.
 
 use super::Simulator;
+use super::history::History;
 use crate::effects::{ElasticLayer, Grip};
 use crate::layer::{self, LayerContact, Memory, Motion, Nodes, Places, Start};
 use crate::scene::{Scene, SceneError};
@@ -15,23 +16,24 @@ pub(super) struct Layered {
     pub(super) places: Places,
     pub(super) young_kpa: f64,
     pub(super) friction: f64,
-    nodes: Nodes,
+    pub(super) nodes: Nodes,
     sticks: bool,
     /// Further solves with the cells at their displaced places.
     rounds: usize,
     memory: Option<Memory>,
+    pub(super) history: History,
     /// Trajectory frame of the last solve.
     solved: Option<u64>,
     /// Rest places of the cells, and the places where the part's heights are evaluated, sensor x and y.
     pub(super) rest: Vec<DVec2>,
-    at: Vec<DVec2>,
-    heights: Vec<f64>,
+    pub(super) at: Vec<DVec2>,
+    pub(super) heights: Vec<f64>,
     /// Motion of the cells with the part, along the lattice's axes.
-    carried: [Vec<f64>; 2],
+    pub(super) carried: [Vec<f64>; 2],
     /// Motion of the cells under the tractions.
     into: Vec<f64>,
     aside: [Vec<f64>; 2],
-    motion: Motion,
+    pub(super) motion: Motion,
 }
 
 impl Layered {
@@ -55,6 +57,7 @@ impl Layered {
             sticks: effect.friction > 0.0,
             rounds: effects.large_strain.as_ref().map_or(0, |effect| effect.rounds),
             memory,
+            history: History::default(),
             solved: None,
             rest: Vec::with_capacity(cells),
             at: Vec::with_capacity(cells),
@@ -66,8 +69,18 @@ impl Layered {
         }))
     }
 
+    /// Whether the gel remembers earlier frames of the trajectory.
+    pub(super) const fn has_memory(&self) -> bool {
+        self.memory.is_some()
+    }
+
+    /// The present solution is of no frame of the trajectory.
+    pub(super) const fn forget_solved(&mut self) {
+        self.solved = None;
+    }
+
     /// Puts every cell at its rest place or, with a grip, at its place carried by the part.
-    fn place(&mut self, middle_mm: DVec2, axes: [DVec2; 2], grip: Option<&Grip>) {
+    pub(super) fn place(&mut self, middle_mm: DVec2, axes: [DVec2; 2], grip: Option<&Grip>) {
         let grid = self.contact.grid();
         let from_middle = |i: usize, n: usize| (i as f64 - 0.5 * (n as f64 - 1.0)) * grid.cell_mm;
         self.rest.clear();
@@ -89,7 +102,7 @@ impl Layered {
 
     /// Moves every cell to its place after the last solve. Returns the largest change of a cell in
     /// contact.
-    fn replace(&mut self, axes: [DVec2; 2]) -> f64 {
+    pub(super) fn replace(&mut self, axes: [DVec2; 2]) -> f64 {
         self.contact.surface_mm(&mut self.into, &mut self.aside);
         let remembered = self.memory.as_ref().map(Memory::remembered);
         let mut farthest = 0.0_f64;
@@ -106,7 +119,7 @@ impl Layered {
     }
 
     /// Solves for the part's heights, minus the remembered motion.
-    fn solve(&mut self, start: Start) {
+    pub(super) fn solve(&mut self, start: Start) {
         let Self { contact, heights, carried, memory, .. } = self;
         if let Some(memory) = memory {
             let [into, along, across] = memory.remembered();
@@ -197,7 +210,7 @@ impl Simulator {
     }
 
     /// Moves the markers with the surface at their printed places.
-    fn follow(&mut self, motion: &Motion) {
+    pub(super) fn follow(&mut self, motion: &Motion) {
         let Self { scratch, lattice, print, .. } = self;
         let shift_mm = print.as_ref().and_then(|print| print.shift_mm());
         let at = |field: &[f64], marker: usize| {
@@ -217,7 +230,7 @@ impl Simulator {
 
     /// Markers in contact lie on the part at their displaced places, and no other marker lies inside the
     /// part.
-    fn meet(&mut self, contact: Option<&ContactState>, layered: &Layered) {
+    pub(super) fn meet(&mut self, contact: Option<&ContactState>, layered: &Layered) {
         let Self { scratch, rest, .. } = self;
         scratch.stuck.clear();
         let Some(contact) = contact else {

@@ -1,15 +1,23 @@
 //! Tractions between part and gel.
 
-use super::Simulator;
 use super::layered::Layered;
+use super::{ContactState, Simulator, Truth};
+use crate::scene::SceneError;
 use alloc::vec::Vec;
-use gelstereo_core::math::{DVec3, sqrt};
+use gelstereo_core::math::{DVec3, Pose, abs, sqrt};
 
 /// Newtons of a kilopascal on a square millimetre.
 const N_PER_KPA_MM2: f64 = 1e-3;
 /// A cell slips if its traction is at least this fraction of Coulomb's bound. The solver ends within 0.1 um
 /// of the part, and slipping cells lie at the bound up to rounding.
 const SLIPS: f64 = 1.0 - 1e-9;
+
+/// Largest depth of a press with a given force, in thicknesses of the gel.
+const MAX_DEPTH: f64 = 0.8;
+/// Relative error at which such a press has converged.
+const CLOSE: f64 = 1e-4;
+/// Halvings of the depth: 40 reach the rounding of a double.
+const MAX_TRIALS: usize = 40;
 
 /// Whether the gel around a marker moves with the part.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -66,6 +74,37 @@ impl Layered {
 }
 
 impl Simulator {
+    /// The pose moved along z until the part presses with this force, without friction from the side; `None`
+    /// without an indenter or an elastic layer.
+    ///
+    /// # Errors
+    /// [`SceneError::Invalid`] if the force is not above 0, or the part would have to go deeper than 0.8 of
+    /// the gel's thickness.
+    pub fn pressed_with(&mut self, t_sensor_object: Pose, force_n: f64) -> Result<Option<Pose>, SceneError> {
+        SceneError::check(force_n > 0.0 && force_n.is_finite(), "force_n", force_n, "above 0")?;
+        if self.layered.is_none() || self.part.is_none() {
+            return Ok(None);
+        }
+        let mut truth = Truth::default();
+        let mut excess_n = |simulator: &mut Self, depth_mm: f64| {
+            let contact = simulator.pressed(t_sensor_object, depth_mm).map(ContactState::pressed);
+            simulator.field(contact.as_ref(), 0, &mut truth);
+            truth.loads.as_ref().map_or(0.0, |loads| -loads.force_n.z) - force_n
+        };
+        let (mut low, mut high) = (0.0, MAX_DEPTH * self.gel.thickness_mm);
+        let deepest_n = excess_n(self, high);
+        SceneError::check(deepest_n >= 0.0, "force_n", force_n, "less than that at 0.8 of the thickness")?;
+        for _ in 0..MAX_TRIALS {
+            let depth_mm = 0.5 * (low + high);
+            let excess_n = excess_n(self, depth_mm);
+            if abs(excess_n) <= CLOSE * force_n {
+                return Ok(self.pressed(t_sensor_object, depth_mm));
+            }
+            *(if excess_n > 0.0 { &mut high } else { &mut low }) = depth_mm;
+        }
+        Ok(self.pressed(t_sensor_object, 0.5 * (low + high)))
+    }
+
     /// Writes the loads of the present contact; returns whether the gel is a layer that has them.
     pub(super) fn write_loads(&self, out: &mut Loads) -> bool {
         let Some(layered) = &self.layered else { return false };

@@ -1,5 +1,6 @@
 //! Simulator: from a scene to marker positions and images.
 
+mod history;
 mod layered;
 mod loads;
 mod press;
