@@ -70,7 +70,8 @@ def test_successes_lie_within_their_covariance(contacts: list[Grasp], share: flo
     mean, degrees = _mean_inside(nees)
     assert mean <= chi2.isf(_RARE, degrees) / degrees
     if share < 0.3:
-        assert ended == 0
+        # Nearly all were stopped by the budget; the rest ended with fewer starts.
+        assert ended <= 0.1 * count
     if share > 1.0:
         assert ended >= 0.9 * count
         # And they claim no less than they know: half as large in every direction would be a fourth.

@@ -133,6 +133,12 @@ impl ForceEstimator {
         Ok(Self { inner: Mutex::new(made.map_err(raise)?) })
     }
 
+    fn __repr__(&self) -> String {
+        let inner = self.inner.lock().unwrap_or_else(PoisonError::into_inner);
+        let (markers, pitch_mm) = (inner.markers(), inner.pitch_mm());
+        format!("<ForceEstimator: {markers} markers, pitch {pitch_mm:.3} mm>")
+    }
+
     /// Estimate tractions and wrench from the markers of one frame.
     ///
     /// Parameters

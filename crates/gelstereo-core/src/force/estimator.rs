@@ -121,6 +121,18 @@ impl ForceEstimator {
         Ok(made)
     }
 
+    /// Number of markers.
+    #[must_use]
+    pub const fn markers(&self) -> usize {
+        self.rest_mm.len()
+    }
+
+    /// Pitch of the lattice, millimetres.
+    #[must_use]
+    pub const fn pitch_mm(&self) -> f64 {
+        self.pitch_mm
+    }
+
     fn reserve(&mut self) {
         let size = 3 * MAX_BLOCKS.min(self.rest_mm.len());
         self.cells.reserve(self.rest_mm.len());
