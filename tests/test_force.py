@@ -257,6 +257,21 @@ def test_the_simulated_part_sticks_and_slips(pressed: tuple[gs.Frame, gs.Simulat
     )
 
 
+def test_the_work_of_a_frame_includes_its_force(sensor: gs.Simulator) -> None:
+    """Predicted from the contact of the frame before: some ten million instructions for a ball."""
+    pose = np.eye(4)
+    pose[:3, 3] = 4.0, 0.0, 40.0
+    force = {"method": "ridge", "thickness_mm": 5.0, "young_kpa": 100.0}
+    pipeline = gs.Pipeline(sensor.scene.rig, gs.Params.preset("fast").replace(force=force))
+    held = sensor.press(sensor.pressed(pose, 0.7))
+    frames = [
+        pipeline.process(pair.left, pair.right) for pair in (sensor[0], sensor[0], held, held, sensor[0])
+    ]
+    none, without, first, second, after = (frame.work for frame in frames)
+    assert none and without == first < second and 1_000 < second - first < 50_000
+    assert after > first, "predicted before it was seen"
+
+
 def test_without_a_method_there_is_no_force(sensor: gs.Simulator) -> None:
     frame = gs.Pipeline(sensor.scene.rig).process(sensor[0].left, sensor[0].right)
     assert frame.wrench is None and frame.traction_kpa.shape == (0, 3)

@@ -34,6 +34,8 @@ pub(super) struct Posterior {
     /// Most probable tractions.
     pub x: Vec<f64>,
     pub half: Vec<f64>,
+    /// Rounds of the last search.
+    pub rounds: usize,
 }
 
 impl Posterior {
@@ -47,7 +49,7 @@ impl Posterior {
 
     /// Under this prior; returns whether it is determined, as it is for finite equations.
     fn update(&mut self, equations: &Equations, variances: &Variances) -> bool {
-        let Self { matrix, right, factor, x, half } = self;
+        let Self { matrix, right, factor, x, half, .. } = self;
         matrix.clear();
         matrix.extend(equations.matrix.iter().map(|entry| entry / variances.noise));
         right.clear();
@@ -67,7 +69,9 @@ impl Posterior {
     /// Maximises the evidence by MacKay's fixed point, beginning with these variances. Returns whether the
     /// tractions are determined.
     pub fn fit(&mut self, equations: &Equations, variances: &mut Variances) -> bool {
+        self.rounds = 0;
         for _round in 0..MAX_ROUNDS {
+            self.rounds += 1;
             if !self.update(equations, variances) {
                 return false;
             }

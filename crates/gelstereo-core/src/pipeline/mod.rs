@@ -229,7 +229,8 @@ impl Pipeline {
     ) -> Result<(), PipelineError> {
         self.left.check_size(&left)?;
         self.right.check_size(&right)?;
-        let after = work::after_detection(&self.params, &self.left.size(&self.params));
+        let after = work::after_detection(&self.params, &self.left.size(&self.params))
+            + self.force.as_ref().map_or(0, ForceEstimator::work);
         let of_view = limit.map(|limit| limit.saturating_sub(after) / 2);
         let (left_stages, right_stages) = (&mut self.left, &mut self.right);
         let (params, follows) = (&self.params, self.rest.is_some());
