@@ -154,6 +154,19 @@ def test_times_without_contact_are_named(bench: Bench) -> None:
         pressed_frames(iter(()), bench.sensor, late)
 
 
+def test_a_contact_at_the_border_is_named(bench: Bench) -> None:
+    assert not any(result.is_cut for result in fit(bench, bench.loads).results)
+    at_border = [
+        Pressed(
+            frame.load, frame.time_s, frame.points_mm, frame.covariance_mm2, frame.patch | (frame.load == 1)
+        )
+        for frame in bench.frames
+    ]
+    found = fit(bench, bench.loads, at_border)
+    assert [result.is_cut for result in found.results].index(True) == 1
+    assert sum(result.is_cut for result in found.results) == 1
+
+
 def test_the_axes_are_those_of_the_print(bench: Bench) -> None:
     """Towards the camera, to the right, and down."""
     rest = RestState(bench.rest.surface, bench.rest.covariance_mm2, bench.rest.cols)
@@ -186,6 +199,7 @@ def test_a_weight_on_a_tilted_gel_pulls_sideways(tmp_path: Path) -> None:
         ("start_s,end_s,mass_g\n1,2,\n", "no load is given"),
         ("start_s,end_s,mass_g\n1,3,50\n2,4,60\n", "overlap"),
         ("start_s,end_s,mass_g\n1,2,inf\n", "valid is a finite number"),
+        ("start_s,end_s,mass_g\n1,2,-5\n", "valid is 0 or more"),
     ],
 )
 def test_a_bad_table_is_refused(tmp_path: Path, text: str, says: str) -> None:
@@ -230,3 +244,4 @@ def test_a_recording_becomes_settings_and_a_report(
     assert params["young_kpa"] == pytest.approx(YOUNG_KPA, rel=0.05)
     page = (tmp_path / "force.html").read_text()
     assert "Measured over known forces" in page and "left out" in page
+    assert "nan" not in (tmp_path / "force.toml").read_text()

@@ -145,6 +145,21 @@ fn a_new_touch_is_a_first_touch() {
     assert_eq!(at(&mut used, pose), at(&mut fresh, pose));
 }
 
+/// Presses in between, and searches for a force, do not change the path.
+#[test]
+fn other_contacts_in_between_change_nothing() {
+    let scene = scene(0.4);
+    let pose = pressed(&scene, 0.5);
+    let (mut alone, mut between) = (simulator(&scene), simulator(&scene));
+    for n in 0..4 {
+        let next = shifted(pose, 0.08 * f64::from(n));
+        let expected = at(&mut alone, next);
+        assert_eq!(at(&mut between, next), expected);
+        between.pressed_with(shifted(pose, 2.0), 0.7).unwrap();
+        between.field(None, 0, &mut Truth::default());
+    }
+}
+
 #[test]
 fn a_history_needs_a_layer_without_memory() {
     let rigid = Scene { indenter: Some(Shape::Sphere { radius_mm: 4.0 }), ..Scene::default() };

@@ -71,7 +71,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     -------
     int
         Exit code: 0 on success; 1 if a part does not explain the contact, or frames contradict the estimated
-        layers; 2 if an input cannot be used; 130 after Ctrl-C.
+        layers, or a known load reaches the border; 2 if an input cannot be used; 130 after Ctrl-C.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     try:

@@ -6,7 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from gelstereo.force.fit import calibrate
+from gelstereo.force.fit import calibrate, percent
 from gelstereo.force.loads import read_loads
 from gelstereo.force.pressed import pressed_frames, recorded_pairs
 from gelstereo.force.report import write_report
@@ -80,8 +80,11 @@ def run(arguments: argparse.Namespace) -> int:
     print(
         f"Young's modulus {found.young_kpa:.1f} +- {found.young_sigma_kpa:.1f} kPa, Poisson's ratio "
         f"{found.poisson_ratio:g}\n"
-        f"rms error of a load that was left out: {100 * found.left_out_rms:.1f} %\n"
-        f"hysteresis: {100 * found.hysteresis:.1f} %\n"
+        f"rms error of a load that was left out: {percent(found.left_out_rms)}\n"
+        f"hysteresis: {percent(found.hysteresis)}\n"
         f"wrote {arguments.output} and {page}"
     )
-    return 0
+    cut = [str(result.load) for result in found.results if result.is_cut]
+    if cut:
+        print(f"the contact reaches the print's border, so that forces are missing: {'; '.join(cut)}")
+    return 1 if cut else 0

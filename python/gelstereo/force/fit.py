@@ -13,7 +13,7 @@ from gelstereo.force.loads import Load, LoadsError
 from gelstereo.force.pressed import Pressed, RestState, force_params
 from gelstereo.setup.sensor import Sensor
 
-__all__ = ["ForceCalibration", "LoadResult", "calibrate"]
+__all__ = ["ForceCalibration", "LoadResult", "calibrate", "percent"]
 
 Floats = npt.NDArray[np.float64]
 
@@ -39,6 +39,8 @@ class LoadResult:
         load.
     creep : float
         Relative change of the largest component per decade of time, at constant load.
+    is_cut : bool
+        Whether the contact reached the lattice's border in a frame, so that a part of the force is missing.
     frames : int
     """
 
@@ -47,12 +49,8 @@ class LoadResult:
     sigma: Floats
     left_out: float
     creep: float
+    is_cut: bool
     frames: int
-
-    @property
-    def main(self) -> int:
-        """Index of the largest known force; of the torque if no force is known."""
-        return _main(self.load)
 
 
 @dataclass(frozen=True)
@@ -103,9 +101,14 @@ class ForceCalibration:
         rows = [f"{name} = {_value(value)}" for name, value in self.settings().items()]
         known = (
             f"# From {len(self.results)} known loads: rms error of a load that was left out "
-            f"{100 * self.left_out_rms:.1f} %, hysteresis {100 * self.hysteresis:.1f} %.\n"
+            f"{percent(self.left_out_rms)}, hysteresis {percent(self.hysteresis)}.\n"
         )
         return known + "[force]\n" + "\n".join(rows) + "\n"
+
+
+def percent(share: float) -> str:
+    """A share as text; NaN is one that these loads do not tell."""
+    return "not known" if np.isnan(share) else f"{100 * share:.1f} %"
 
 
 def _value(value: float | str) -> str:
@@ -114,11 +117,12 @@ def _value(value: float | str) -> str:
 
 @dataclass(frozen=True)
 class _Unit:
-    """What a load would be on a gel with a modulus of 1 kPa: mean, variance, creep, and number of frames."""
+    """What a load would be on a gel with a modulus of 1 kPa."""
 
     mean: Floats
     variance: Floats
     creep: float
+    is_cut: bool
     frames: int
 
 
@@ -190,22 +194,25 @@ def _units(
     to = np.zeros((4, 6))
     to[:3, :3], to[3, 3:] = axes, axes[0]
     values: list[list[tuple[float, Floats, Floats]]] = [[] for _ in loads]
+    cut = set()
     for frame in frames:
         _, wrench = estimator.run(frame.points_mm, frame.covariance_mm2, frame.patch.tolist())
         if wrench is None:
             continue
-        middle = np.nanmean(frame.points_mm[frame.patch], axis=0)
-        about = wrench.about(middle if np.isfinite(middle).all() else wrench.about_mm)
+        seen = frame.points_mm[frame.patch & np.isfinite(frame.points_mm).all(axis=1)]
+        about = wrench.about(seen.mean(axis=0)) if len(seen) else wrench
+        if wrench.is_cut:
+            cut.add(frame.load)
         both = np.concatenate([about.force_n, about.torque_nmm])
         variance = np.diag(to @ about.covariance @ to.T)
         values[frame.load].append((frame.time_s, to @ both, variance))
     for load, each in zip(loads, values, strict=True):
         if not each:
             raise LoadsError(f"the contact of the load {load} gives no force; too few markers are seen there")
-    return [_unit(each, _main(load)) for load, each in zip(loads, values, strict=True)]
+    return [_unit(values[k], _main(load), k in cut) for k, load in enumerate(loads)]
 
 
-def _unit(values: Sequence[tuple[float, Floats, Floats]], main: int) -> _Unit:
+def _unit(values: Sequence[tuple[float, Floats, Floats]], main: int, is_cut: bool) -> _Unit:
     times = np.array([time for time, _, _ in values])
     wrenches, variances = (np.array(each) for each in zip(*[(w, v) for _, w, v in values], strict=True))
     settled = times >= min(_SETTLED_S, 0.5 * times.max())
@@ -215,10 +222,11 @@ def _unit(values: Sequence[tuple[float, Floats, Floats]], main: int) -> _Unit:
         slope = np.polyfit(np.log10(times[settled]), wrenches[settled, main], 1)[0]
         creep = float(slope / mean[main])
     # What the law leaves unexplained is common to all frames of a load: it does not average out.
-    return _Unit(mean, variances[settled].mean(axis=0), creep, int(settled.sum()))
+    return _Unit(mean, variances[settled].mean(axis=0), creep, is_cut, int(settled.sum()))
 
 
 def _main(load: Load) -> int:
+    """Index of the largest known force; of the torque if no force is known."""
     forces = np.abs(load.known[:3])
     return int(np.nanargmax(forces)) if np.nansum(forces) > 0 else int(np.nanargmax(np.abs(load.known)))
 
@@ -255,6 +263,7 @@ def _result(k: int, units: Sequence[_Unit], loads: Sequence[Load], young_kpa: fl
         sigma=young_kpa * np.sqrt(unit.variance),
         left_out=left_out,
         creep=unit.creep,
+        is_cut=unit.is_cut,
         frames=unit.frames,
     )
 

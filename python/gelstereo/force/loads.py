@@ -125,6 +125,8 @@ def _load(where: str, row: Mapping[str, str | None]) -> Load:
         if np.isnan(known).all():
             raise LoadsError(f"{where}: no load is given; fill mass_g or one of {', '.join(COMPONENTS)}")
         return Load(start_s, end_s, known)
+    if mass_g < 0.0:
+        raise LoadsError(f"{where}: mass_g is {mass_g:g}; valid is 0 or more")
     weight_n = mass_g * 1e-3 * _GRAVITY
     tilt, towards = (math.radians(0.0 if math.isnan(x) else x) for x in (tilt_deg, towards_deg))
     shear_n = weight_n * math.sin(tilt)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gelstereo.force.fit import ForceCalibration
+from gelstereo.force.fit import ForceCalibration, percent
 from gelstereo.force.loads import COMPONENTS
 from gelstereo.view import html
 
@@ -25,8 +25,8 @@ def write_report(path: Path, calibration: ForceCalibration) -> None:
         ["Young's modulus, kPa", f"{found.young_kpa:.1f} ± {found.young_sigma_kpa:.1f}"],
         ["Poisson's ratio", f"{found.poisson_ratio:g}"],
         ["thickness, mm", f"{found.thickness_mm:g}"],
-        ["rms error of a load that was left out, %", f"{100 * found.left_out_rms:.1f}"],
-        ["hysteresis, %", f"{100 * found.hysteresis:.1f}"],
+        ["rms error of a load that was left out", percent(found.left_out_rms)],
+        ["hysteresis", percent(found.hysteresis)],
         ["errors over their stated size, mean square", f"{found.chi2:.2f}"],
     ]
     blocks: list[html.Block] = [
@@ -37,7 +37,13 @@ def write_report(path: Path, calibration: ForceCalibration) -> None:
         html.Figure("Measured over known forces; the line is equality.", _scatter(found).encode(), "svg"),
         html.Grid(
             "Loads in the order of time: known, measured, and the error by a calibration without this load",
-            ("load", *(f"{name}, known / measured" for name in COMPONENTS), "left out, %", "creep, %/decade"),
+            (
+                "load",
+                *(f"{name}, known / measured" for name in COMPONENTS),
+                "error when left out",
+                "creep per decade",
+                "contact",
+            ),
             [_row(k, found) for k in range(len(found.results))],
         ),
     ]
@@ -55,11 +61,8 @@ def _row(k: int, calibration: ForceCalibration) -> list[str]:
         for known, measured in zip(result.load.known, result.measured, strict=True)
     ]
     spans = f"{result.load.start_s:g} to {result.load.end_s:g} s"
-    return [spans, *pairs, _percent(result.left_out), _percent(result.creep)]
-
-
-def _percent(share: float) -> str:
-    return "-" if np.isnan(share) else f"{100 * share:+.1f}"
+    contact = "reaches the border" if result.is_cut else "whole"
+    return [spans, *pairs, percent(result.left_out), percent(result.creep), contact]
 
 
 def _scatter(calibration: ForceCalibration) -> str:

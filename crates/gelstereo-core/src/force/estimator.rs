@@ -1,22 +1,25 @@
 //! From marker motion to tractions and wrench.
 
-use super::cells::{Cells, MAX_BLOCKS};
+use super::cells::{Cell, Cells, MAX_BLOCKS};
 use super::cone::project;
 use super::equations::Equations;
 use super::error::ForceError;
 use super::evidence::{Posterior, Variances};
 use super::wrench::Wrench;
 use crate::contact::RestSurface;
-use crate::layer::{Influence, Layer};
+use crate::layer::{Influence, Layer, N_PER_KPA_MM2};
 use crate::math::linalg::Symmetric;
 use crate::math::{DVec3, abs, sqrt};
 use crate::params::{ForceMethod, ForceParams, ParamsError};
 use crate::track::MarkerState;
 use alloc::vec::Vec;
 
-/// Largest relative difference of the pitches of a square lattice.
+/// Largest relative difference of the pitches of a square lattice. With 0, 2 and 4.9 %, the rms error of the
+/// pressing force is 6.9, 6.9 and 7.0 % on the contacts named below.
 const SQUARE: f64 = 0.05;
-/// Markers are used up to this distance from the contact, in thicknesses of the gel.
+/// Markers are used up to this distance from the contact, in thicknesses of the gel. With 0.25, 0.5, 1 and
+/// 1.5, the rms error of the pressing force is 21, 9.2, 6.9 and 8.1 % on the contacts named below: near
+/// markers alone do not tell how much gel is displaced, and far ones feel the gel's border.
 const REACH: f64 = 1.0;
 // The layer is no exact model of a gel. The shares below were chosen on the development half of the FEM
 // contacts of bench/outside (294 cases, neo-Hookean gels of finite width). With them, the mean normalised
@@ -44,9 +47,6 @@ const PER_PAIR: f64 = 2.6;
 const PER_TRIPLE: f64 = 2.7;
 /// A search that begins where the last one ended takes one to six rounds.
 const USUAL_ROUNDS: usize = 4;
-/// Newtons of a kilopascal on a square millimetre.
-const N_PER_KPA_MM2: f64 = 1e-3;
-
 /// Markers of one frame. All lists are in the order of the rest markers.
 #[derive(Clone, Copy, Debug)]
 pub struct MovedMarkers<'a> {
@@ -68,14 +68,12 @@ pub struct ForceEstimator {
     young_kpa: f64,
     influence: Influence,
     thickness_mm: f64,
-    rest_mm: Vec<DVec3>,
+    rest: RestSurface,
     rest_covariance_mm2: Vec<Symmetric<3>>,
-    centre_mm: DVec3,
     /// Into the layer (towards the camera), along rows, along columns.
     axes: [DVec3; 3],
     cols: usize,
     pitch_mm: f64,
-    reach_cells: f64,
     cells: Cells,
     equations: Equations,
     posterior: Posterior,
@@ -106,23 +104,21 @@ impl ForceEstimator {
             let (setting, required) = ("a wrench", "force.method = \"ridge\" or \"bounded\"");
             return Err(ForceError::Params(ParamsError::Requires { setting, required }));
         };
-        let rest_mm = rest.points_mm();
-        let (axes, pitch_mm) = square_lattice(rest_mm, rest.normal(), cols)?;
-        check_length(rest_mm.len(), rest_covariance_mm2.len())?;
-        let side = cols.max(rest_mm.len() / cols);
+        let (axes, pitch_mm) = square_lattice(rest.points_mm(), rest.normal(), cols)?;
+        let markers = rest.points_mm().len();
+        check_length(markers, rest_covariance_mm2.len())?;
+        let side = cols.max(markers / cols);
         let layer = Layer { thickness_mm, poisson_ratio: params.poisson_ratio };
         let mut made = Self {
             params: params.clone(),
             young_kpa,
             influence: Influence::new(&layer, pitch_mm, side),
             thickness_mm,
-            rest_mm: rest_mm.to_vec(),
+            rest: rest.clone(),
             rest_covariance_mm2: rest_covariance_mm2.to_vec(),
-            centre_mm: rest.centre_mm(),
             axes,
             cols,
             pitch_mm,
-            reach_cells: REACH * thickness_mm / pitch_mm,
             cells: Cells::default(),
             equations: Equations::default(),
             posterior: Posterior::default(),
@@ -136,8 +132,8 @@ impl ForceEstimator {
 
     /// Number of markers.
     #[must_use]
-    pub const fn markers(&self) -> usize {
-        self.rest_mm.len()
+    pub fn markers(&self) -> usize {
+        self.rest.points_mm().len()
     }
 
     /// Pitch of the lattice, millimetres.
@@ -158,8 +154,8 @@ impl ForceEstimator {
     }
 
     fn reserve(&mut self) {
-        let size = 3 * MAX_BLOCKS.min(self.rest_mm.len());
-        self.cells.reserve(self.rest_mm.len());
+        let size = 3 * MAX_BLOCKS.min(self.markers());
+        self.cells.reserve(self.markers());
         self.equations.reserve(size);
         self.posterior.reserve(size);
         self.unit.reserve(size);
@@ -177,7 +173,7 @@ impl ForceEstimator {
         moved: &MovedMarkers<'_>,
         traction_kpa: &mut Vec<DVec3>,
     ) -> Result<Option<Wrench>, ForceError> {
-        let markers = self.rest_mm.len();
+        let markers = self.markers();
         let MovedMarkers { points_mm, covariance_mm2, state, patch } = moved;
         for found in [points_mm.len(), covariance_mm2.len(), state.len(), patch.len()] {
             check_length(markers, found)?;
@@ -210,10 +206,10 @@ impl ForceEstimator {
 
     /// Collects the equations of the seen markers around the contact.
     fn assemble(&mut self, moved: &MovedMarkers<'_>) {
-        self.cells.surround(self.cols, self.reach_cells);
+        self.cells.surround(self.cols, REACH * self.thickness_mm / self.pitch_mm);
         self.equations.clear(3 * self.cells.blocks);
         for &n in self.cells.near.iter().filter(|&&n| moved.state[n] == MarkerState::Seen) {
-            let motion_mm = moved.points_mm[n] - self.rest_mm[n];
+            let motion_mm = moved.points_mm[n] - self.rest.points_mm()[n];
             let both = (&moved.covariance_mm2[n], &self.rest_covariance_mm2[n]);
             let covariance_mm2 = core::array::from_fn(|i| {
                 core::array::from_fn(|k| {
@@ -245,6 +241,11 @@ impl ForceEstimator {
         true
     }
 
+    /// From the point of reference to a cell.
+    fn arm_mm(&self, cell: &Cell) -> DVec3 {
+        self.rest.points_mm()[cell.row * self.cols + cell.col] - self.rest.centre_mm()
+    }
+
     /// Traction of a block in the sensor frame, in units of Young's modulus.
     fn traction(&self, block: usize) -> DVec3 {
         let x = &self.posterior.x[3 * block..][..3];
@@ -256,7 +257,7 @@ impl ForceEstimator {
         let heights =
             moved.patch.iter().zip(moved.state).enumerate().filter_map(|(n, (&in_patch, &state))| {
                 let is_known = in_patch && state == MarkerState::Seen;
-                is_known.then(|| (moved.points_mm[n] - self.rest_mm[n]).dot(self.axes[0]))
+                is_known.then(|| (moved.points_mm[n] - self.rest.points_mm()[n]).dot(self.axes[0]))
             });
         let (count, deepest_mm) =
             heights.fold((0, 0.0_f64), |(count, deepest), height| (count + 1, deepest.max(height)));
@@ -272,10 +273,11 @@ impl ForceEstimator {
         let (mut pressing_n, mut moment_nmm) = (0.0, DVec3::ZERO);
         for cell in &self.cells.cells {
             let force = self.traction(cell.block) * scale;
-            let pressing = self.axes[0] * force.dot(self.axes[0]);
-            let arm_mm = self.rest_mm[cell.row * self.cols + cell.col] - self.centre_mm;
-            pressing_n += abs(force.dot(self.axes[0]));
-            moment_nmm += arm_mm * abs(force.dot(self.axes[0]));
+            let of_cell_n = force.dot(self.axes[0]);
+            let pressing = self.axes[0] * of_cell_n;
+            let arm_mm = self.arm_mm(cell);
+            pressing_n += of_cell_n;
+            moment_nmm += arm_mm * of_cell_n;
             for (part, force) in parts.iter_mut().zip([pressing, force - pressing]) {
                 let loads = force.to_array().into_iter().chain(arm_mm.cross(force).to_array());
                 part.iter_mut().zip(loads).for_each(|(sum, load)| *sum += load);
@@ -305,7 +307,7 @@ impl ForceEstimator {
         Wrench {
             force_n: DVec3::new(fx, fy, fz),
             torque_nmm: DVec3::new(tx, ty, tz),
-            about_mm: self.centre_mm,
+            about_mm: self.rest.centre_mm(),
             covariance,
             misfit: self.variances.map_or(1.0, |variances| variances.noise),
             cells: self.cells.cells.len(),
@@ -319,7 +321,7 @@ impl ForceEstimator {
         self.unit.clear();
         self.unit.resize(self.equations.size, 0.0);
         for cell in &self.cells.cells {
-            let arm_mm = self.rest_mm[cell.row * self.cols + cell.col] - self.centre_mm;
+            let arm_mm = self.arm_mm(cell);
             for (axis, unit) in self.axes.iter().zip(&mut self.unit[3 * cell.block..]) {
                 *unit +=
                     scale * if component < 3 { axis[component] } else { arm_mm.cross(*axis)[component - 3] };

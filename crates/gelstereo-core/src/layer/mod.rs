@@ -8,3 +8,6 @@ mod kernel;
 
 pub use influence::Influence;
 pub use kernel::{Compliance, Layer};
+
+/// Newtons of a kilopascal on a square millimetre.
+pub const N_PER_KPA_MM2: f64 = 1e-3;

@@ -6,6 +6,7 @@ mod discs;
 mod epipolar;
 mod error;
 mod frame;
+mod heights;
 mod marker_tracker;
 mod pace;
 mod pitch;
@@ -38,6 +39,7 @@ use crate::triangulate::{Centres, Triangulator};
 use alloc::vec::Vec;
 use discs::Discs;
 use epipolar::{Epipolar, variance_px2};
+use heights::Heights;
 use view::ViewStages;
 
 /// Sensing: stereo frames in, tactile point clouds out.
@@ -64,14 +66,6 @@ pub struct Pipeline {
     frames: u64,
     /// Whether no frame was processed since resuming from a record.
     resumes: bool,
-}
-
-/// Uncertainty of the heights of one frame.
-#[derive(Clone, Debug, Default)]
-struct Heights {
-    variance_mm2: Vec<f64>,
-    state: Vec<MarkerState>,
-    scratch: Vec<f64>,
 }
 
 impl Pipeline {
@@ -333,17 +327,13 @@ impl Pipeline {
         self.slips.learn(&self.triangulator, &rest, [centres(left), centres(right)], cols, pitch_px);
         copy_into(&left.positions_px, &mut self.reference_px);
         let depth_mm = self.params.lattice.depth_mm;
-        self.skin = match depth_mm > 0.0 {
-            true => Some(Skin::new(&rest, cols, depth_mm).map_err(PipelineError::Contact)?),
-            false => None,
-        };
-        self.rest = Some(rest);
-        if self.params.force.method != ForceMethod::None {
-            let rest = self.skin.as_ref().map(Skin::rest).or(self.rest.as_ref());
-            let estimator =
-                rest.map(|rest| ForceEstimator::new(&self.params.force, rest, cols, &self.covariance_mm2));
-            self.force = estimator.transpose().map_err(PipelineError::Force)?;
-        }
+        let skin = (depth_mm > 0.0).then(|| Skin::new(&rest, cols, depth_mm)).transpose();
+        let skin = skin.map_err(PipelineError::Contact)?;
+        let (asked, surface) = (&self.params.force, skin.as_ref().map_or(&rest, Skin::rest));
+        let force = (asked.method != ForceMethod::None)
+            .then(|| ForceEstimator::new(asked, surface, cols, &self.covariance_mm2));
+        let force = force.transpose().map_err(PipelineError::Force)?;
+        (self.skin, self.force, self.rest) = (skin, force, Some(rest));
         Ok(())
     }
 
@@ -398,23 +388,13 @@ impl Pipeline {
         Ok(())
     }
 
-    /// Computes the variances of the heights above rest, and which markers are known well enough for
-    /// contact detection.
-    fn judge_heights(&mut self, state: &[MarkerState]) {
-        let Self { heights, covariance_mm2, rest_variance_mm2, rest, .. } = self;
-        let normal = rest.as_ref().map_or(DVec3::Z, RestSurface::normal);
-        let now = covariance_mm2.iter().map(|covariance| contact::variance_along(covariance, normal));
-        heights.variance_mm2.clear();
-        heights.variance_mm2.extend(now.zip(rest_variance_mm2).map(|(now, rest)| now + *rest));
-        contact::known_states(&heights.variance_mm2, state, &mut heights.scratch, &mut heights.state);
-    }
-
     fn finish(&mut self, out: &mut Frame) -> Result<(), PipelineError> {
         out.index = self.frames;
         copy_into(&self.left.labelled().positions_px, &mut out.left_px);
         copy_into(&self.right.labelled().positions_px, &mut out.right_px);
         (out.rows, out.cols) = (self.left.rows, self.left.cols);
-        self.judge_heights(&out.state);
+        let normal = self.rest.as_ref().map_or(DVec3::Z, RestSurface::normal);
+        self.heights.judge(&self.covariance_mm2, &self.rest_variance_mm2, normal, &out.state);
         let Heights { variance_mm2, state, .. } = &self.heights;
         let seen = MarkerHeights { indentation_mm: &out.indentation_mm, variance_mm2, state };
         self.contact.run(&seen, &mut out.salient).map_err(PipelineError::Contact)?;
@@ -458,7 +438,6 @@ fn copy_into<T: Copy>(from: &[T], to: &mut Vec<T>) {
 mod tests {
     use super::*;
     use crate::camera::Camera;
-    use alloc::vec;
 
     fn pipeline() -> Pipeline {
         let camera = Camera {
@@ -471,22 +450,6 @@ mod tests {
             distortion: [0.0; 5],
         };
         Pipeline::new(&Rig::parallel(camera, 8.0), &Params::default()).unwrap()
-    }
-
-    /// A height is a difference of two frames: its variance is the sum of theirs, along the rest surface's
-    /// normal.
-    #[test]
-    fn a_height_has_the_variances_of_both_frames() {
-        let mut pipeline = pipeline();
-        let points_mm = [DVec3::new(0.0, 0.0, 30.0), DVec3::new(1.0, 0.0, 31.0), DVec3::new(0.0, 1.0, 30.0)];
-        let rest = RestSurface::new(&points_mm).unwrap();
-        let covariance_mm2 = [[4.0, 0.5, 0.1], [0.5, 3.0, 0.2], [0.1, 0.2, 9.0]];
-        let now_mm2 = contact::variance_along(&covariance_mm2, rest.normal());
-        pipeline.rest = Some(rest);
-        pipeline.covariance_mm2 = vec![covariance_mm2; 3];
-        pipeline.rest_variance_mm2 = vec![1.0, 2.0, 8.0];
-        pipeline.judge_heights(&[MarkerState::Seen; 3]);
-        assert_eq!(pipeline.heights.variance_mm2, [now_mm2 + 1.0, now_mm2 + 2.0, now_mm2 + 8.0]);
     }
 
     /// The noise of one gel goes into its record, and is not the next one's.

@@ -171,7 +171,8 @@ impl Simulator {
     /// Move the part on from its last pose: the gel is dragged along, sticks and slips.
     ///
     /// The result depends on all calls since the part was last taken away. The part moves along the shortest
-    /// path, in steps of at most 0.05 mm. The first pose is pressed in without sideways motion.
+    /// path, in steps of at most 0.05 mm (or 256 steps). The first pose is pressed in without sideways
+    /// motion. Images are not blurred by motion.
     ///
     /// Parameters
     /// ----------

@@ -4,10 +4,9 @@ use super::layered::Layered;
 use super::{ContactState, Simulator, Truth};
 use crate::scene::SceneError;
 use alloc::vec::Vec;
+use gelstereo_core::layer::N_PER_KPA_MM2;
 use gelstereo_core::math::{DVec3, Pose, abs, sqrt};
 
-/// Newtons of a kilopascal on a square millimetre.
-const N_PER_KPA_MM2: f64 = 1e-3;
 /// A cell slips if its traction is at least this fraction of Coulomb's bound. The solver ends within 0.1 um
 /// of the part, and slipping cells lie at the bound up to rounding.
 const SLIPS: f64 = 1.0 - 1e-9;
@@ -74,12 +73,12 @@ impl Layered {
 }
 
 impl Simulator {
-    /// The pose moved along z until the part presses with this force, without friction from the side; `None`
-    /// without an indenter or an elastic layer.
+    /// The pose moved along z until the part presses with this force, within 0.01 % and without sideways
+    /// motion; `None` without an indenter or an elastic layer.
     ///
     /// # Errors
-    /// [`SceneError::Invalid`] if the force is not above 0, or the part would have to go deeper than 0.8 of
-    /// the gel's thickness.
+    /// [`SceneError::Invalid`] if the force is not above 0, is less than the layer's solver resolves, or
+    /// needs more than 0.8 of the gel's thickness.
     pub fn pressed_with(&mut self, t_sensor_object: Pose, force_n: f64) -> Result<Option<Pose>, SceneError> {
         SceneError::check(force_n > 0.0 && force_n.is_finite(), "force_n", force_n, "above 0")?;
         if self.layered.is_none() || self.part.is_none() {
@@ -102,7 +101,8 @@ impl Simulator {
             }
             *(if excess_n > 0.0 { &mut high } else { &mut low }) = depth_mm;
         }
-        Ok(self.pressed(t_sensor_object, 0.5 * (low + high)))
+        let valid = "one that the layer's solver resolves, which ends within 0.1 um of the part";
+        Err(SceneError::Invalid { name: "force_n", found: force_n, valid })
     }
 
     /// Writes the loads of the present contact; returns whether the gel is a layer that has them.

@@ -40,7 +40,8 @@ pub(super) struct Candidates {
 /// them can be refined. Tried 1/4, 1/3 and 1/2 on 108 simulated contacts: of wide guesses with a budget of
 /// 60 000, 88, 85 and 87 % succeed, and of near ones 96, 94 and 91 %.
 const SCREENED: f64 = 1.0 / 4.0;
-/// Starts that are screened with any budget.
+/// Starts that are screened with any budget. With 4, 8 and 16, near guesses succeed in 88, 89 and 86 % of the
+/// same contacts with a budget of 20 000, and wide ones in 74, 75 and 79 %.
 const MIN_STARTS: usize = 8;
 
 impl Search<'_> {

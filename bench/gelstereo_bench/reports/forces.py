@@ -1,0 +1,179 @@
+"""Forces of simulated contacts whose elastic layer is known, so that the law has no error.
+
+Run ``python -m gelstereo_bench.reports.forces`` to fill the table in docs/force.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from gelstereo import ForceEstimator, LayerContact, Params, RestSurface
+from gelstereo_bench.reports.markdown import replace_between, table
+
+__all__ = ["METHODS", "Contact", "Errors", "contacts", "errors", "main"]
+
+Array = npt.NDArray[np.float64]
+
+METHODS = ("ridge", "bounded")
+#: Noise of a marker, mm.
+_SIGMA_MM = np.array([0.0015, 0.0015, 0.005])
+#: Fine grid of the layer; every third point is a marker, 0.9 mm apart.
+_SIDE, _CELL_MM, _EVERY, _MARKERS = 96, 0.3, 3, 25
+_YOUNG_KPA, _REST_Z_MM = 100.0, 30.0
+_AXIS = (np.arange(_SIDE) - (_SIDE - 1) / 2) * _CELL_MM
+_X, _Y = np.meshgrid(_AXIS, _AXIS)
+_PICKED = (_SIDE - _EVERY * (_MARKERS - 1)) // 2 + _EVERY * np.arange(_MARKERS)
+_AT = np.ix_(_PICKED, _PICKED)
+
+
+@dataclass(frozen=True)
+class Contact:
+    """A contact, its sensed markers and the true loads. Sensor frame, mm; z points into the gel's plate."""
+
+    thickness_mm: float
+    poisson_ratio: float
+    rest_mm: Array
+    points_mm: Array
+    touching: npt.NDArray[np.bool_]
+    #: (N, 3) mean traction around each marker, kPa.
+    traction_kpa: Array
+    centre_mm: Array
+    #: (6,) force in N, and torque about `centre_mm` in N mm.
+    wrench: Array
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Errors of one contact by one method."""
+
+    #: Of the pressing force, of the shear force and of the twist, relative to their true values.
+    normal: float
+    shear: float
+    twist: float
+    #: Norm of the error of the pressures over the norm of the pressures.
+    pressures: float
+    #: Error of the sum of the tractions along z, relative to the pressing force.
+    summed: float
+    #: Normalised squared error of the six components.
+    squared: float
+
+
+def _obstacle_mm(kind: int, centre: Array, random: np.random.Generator) -> Array:
+    """Depth of a ball, a plate or a cylinder under the surface; -inf beside it."""
+    x, y, turn = _X - centre[0], _Y - centre[1], random.uniform(0.0, np.pi)
+    u, v = x * np.cos(turn) + y * np.sin(turn), y * np.cos(turn) - x * np.sin(turn)
+    if kind == 0:
+        radius, depth, away = random.uniform(1.5, 8.0), random.uniform(0.1, 0.8), np.hypot(x, y)
+        within = away <= radius
+    elif kind == 1:
+        half, depth = random.uniform(1.0, 4.0, 2), random.uniform(0.1, 0.6)
+        within = (np.abs(u) < half[0]) & (np.abs(v) < half[1])
+        return np.where(within, depth + 0.03 * u, -np.inf)
+    else:
+        radius, depth, away = random.uniform(1.0, 4.0), random.uniform(0.1, 0.6), np.abs(v)
+        within = (away <= radius) & (np.abs(u) <= 4.0)
+    below = radius - np.sqrt(np.maximum(radius**2 - away**2, 0.0))
+    return np.where(within, depth - below, -np.inf)
+
+
+def contacts(count: int, seed: int) -> Iterator[Contact]:
+    """Press, drag and twist balls, plates and cylinders in turn."""
+    random = np.random.default_rng(seed)
+    for k in range(count):
+        thickness_mm, poisson, friction = (
+            random.uniform(*between) for between in ((2.5, 5.0), (0.45, 0.495), (0.2, 1.0))
+        )
+        layer = LayerContact(
+            thickness_mm=thickness_mm,
+            poisson_ratio=poisson,
+            rows=_SIDE,
+            cols=_SIDE,
+            cell_mm=_CELL_MM,
+            friction=friction,
+        )
+        centre = random.uniform(-3.0, 3.0, 2)
+        obstacle = np.minimum(_obstacle_mm(k % 3, centre, random), 0.3 * thickness_mm)
+        shift, twist = random.uniform(-0.15, 0.15, 2), random.uniform(-0.05, 0.05)
+        carried = np.stack([shift[0] - twist * (_Y - centre[1]), shift[1] + twist * (_X - centre[0])], -1)
+        solved = layer.press(obstacle, carried, tolerance_mm=1e-5)
+        traction = _YOUNG_KPA * np.dstack([solved.traction, -solved.pressure])
+        force = traction.reshape(-1, 3) * _CELL_MM**2 * 1e-3
+        lever = np.column_stack([_X.ravel() - centre[0], _Y.ravel() - centre[1], np.zeros(_X.size)])
+        near = (-1, 0, 1)
+        around = sum(traction[np.ix_(_PICKED + a, _PICKED + b)] for a in near for b in near) / len(near) ** 2
+        rest = np.column_stack([_X[_AT].ravel(), _Y[_AT].ravel(), np.full(_MARKERS**2, _REST_Z_MM)])
+        motion = solved.motion_mm[_AT].reshape(-1, 3) * [1.0, 1.0, -1.0]
+        yield Contact(
+            thickness_mm,
+            poisson,
+            rest,
+            rest + motion + _SIGMA_MM * random.normal(size=rest.shape),
+            (solved.pressure > 0.0)[_AT].ravel(),
+            np.asarray(around).reshape(-1, 3),
+            np.array([*centre, _REST_Z_MM]),
+            np.concatenate([force.sum(axis=0), np.cross(lever, force).sum(axis=0)]),
+        )
+
+
+def errors(contact: Contact, method: str) -> Errors:
+    """Estimate the loads of a contact, and compare them with the truth."""
+    force = {
+        "method": method,
+        "thickness_mm": contact.thickness_mm,
+        "poisson_ratio": contact.poisson_ratio,
+        "young_kpa": _YOUNG_KPA,
+    }
+    count = len(contact.rest_mm)
+    estimator = ForceEstimator(
+        RestSurface(contact.rest_mm),
+        Params().replace(force=force),
+        cols=_MARKERS,
+        covariance_mm2=np.tile(1e-12 * np.eye(3), (count, 1, 1)),
+    )
+    noise = np.tile(np.diag(_SIGMA_MM**2), (count, 1, 1))
+    traction, found = estimator.run(contact.points_mm, noise, contact.touching.tolist())
+    assert found is not None, "every contact touches markers"
+    wrench = found.about(contact.centre_mm)
+    error = np.concatenate([wrench.force_n, wrench.torque_nmm]) - contact.wrench
+    pressure = contact.traction_kpa[:, 2]
+    return Errors(
+        abs(error[2] / contact.wrench[2]),
+        float(np.hypot(*error[:2]) / np.hypot(*contact.wrench[:2])),
+        abs(error[5] / contact.wrench[5]),
+        float(np.linalg.norm(traction[:, 2] - pressure) / np.linalg.norm(pressure)),
+        abs(float(traction[:, 2].sum()) * (_EVERY * _CELL_MM) ** 2 * 1e-3 / contact.wrench[2] - 1.0),
+        float(error @ np.linalg.solve(wrench.covariance, error)),
+    )
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Fill the table of simulated forces in docs/force.md."""
+    parser = argparse.ArgumentParser(prog="python -m gelstereo_bench.reports.forces", description=__doc__)
+    parser.add_argument("--docs", type=Path, default=Path("docs"), help="folder of the manual")
+    parser.add_argument("--contacts", type=int, default=120, help="number of contacts")
+    options = parser.parse_args(arguments)
+    found: dict[str, list[Errors]] = {method: [] for method in METHODS}
+    for contact in contacts(options.contacts, seed=5):
+        for method in METHODS:
+            found[method].append(errors(contact, method))
+    rows = []
+    for method, all_errors in found.items():
+        middle = [
+            f"{100 * np.median([getattr(e, name) for e in all_errors]):.1f}"
+            for name in ("normal", "shear", "twist", "pressures", "summed")
+        ]
+        rows.append([f"`{method}`", *middle, f"{np.mean([e.squared for e in all_errors]):.1f}"])
+    head = ["method", "pressing force, %", "shear, %", "twist, %", "pressures, %", "sum of the tractions, %"]
+    head.append("normalised squared error (6)")
+    replace_between(options.docs / "force.md", "forces", table(head, rows))
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
