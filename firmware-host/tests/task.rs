@@ -26,6 +26,28 @@ fn figure(report: &JobReport, stage: Stage, name: &str) -> f64 {
     stage.figures.iter().find(|f| f.name == name).unwrap().value
 }
 
+/// Registration of the first frame takes four steps, of the second one three.
+#[test]
+fn a_registration_that_does_not_converge_is_tried_on_the_next_frames() {
+    let mut config = quick(1);
+    config.params.register.advanced.max_iterations = 3;
+    let report = run(&config);
+    assert!(matches!(report.outcome, Outcome::Inserted { .. }), "{}", report.why);
+    assert_eq!(figure(&report, Stage::Localize, "frames"), 2.0);
+    config.params.register.advanced.max_iterations = 1;
+    let report = run(&config);
+    assert!(matches!(report.outcome, Outcome::NotLocalized { .. }), "{}", report.why);
+    assert!(report.why.ends_with("did not converge in 1 iterations (tried on 3 frames)"), "{}", report.why);
+}
+
+/// Plain Gauss-Newton steps along the peg were too short here: 15 did not reach the optimum.
+#[test]
+fn long_valleys_are_followed_to_their_end() {
+    for seed in [35, 46] {
+        assert_eq!(figure(&run(&quick(seed)), Stage::Localize, "frames"), 1.0);
+    }
+}
+
 /// With the paper's tracking most markers are lost while the fingers open: what came of the task stays known.
 #[test]
 fn markers_lost_in_the_retreat_do_not_break_the_task_off() {

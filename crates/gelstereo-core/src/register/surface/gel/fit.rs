@@ -5,7 +5,7 @@
 
 use super::lattice::Node;
 use super::model::Gel;
-use super::prediction::{DECAY, GelFitScratch, PLANE, Prediction, Row, Sight};
+use super::prediction::{DECAY, GelFitScratch, PLANE, Prediction, Row, Sight, UNKNOWN};
 use super::rest::{DECAY_LOGS, Rest};
 use crate::math::{DVec3, abs, exp, sqrt};
 use crate::register::surface::candidate::{Candidate, End};
@@ -31,6 +31,10 @@ const JUDGED: f64 = 0.5;
 /// predicted cost. A third try is worth less than the next start.
 pub(in crate::register::surface) const LONGEST_MM: f64 = 0.5;
 const TRIES: u32 = 2;
+/// Cosine between two steps from which the second one continues the first. Without longer steps 2 of 100
+/// simulated pegs did not converge; with them, from 0.5, 0.8 and 0.95, all did. Of 1887 other contacts 7 did
+/// not, and with them 11, 8 and 8; 53 poses were wrong, and with them 56, 55 and 54.
+const CONTINUES: f64 = 0.95;
 /// Largest number of sweeps over the gel per prediction.
 const MAX_SWEEPS: u32 = 80;
 /// Sweeps over one node that cost as much as one lookup of the field.
@@ -41,6 +45,24 @@ pub(in crate::register::surface) struct GelFit<'a> {
     pub problem: &'a Problem<'a>,
     /// Exact surface; without it only the field is used.
     pub faces: Option<Exact<'a>>,
+}
+
+/// A step, and the share of it that was taken.
+struct Stride {
+    row: Row,
+    share: f64,
+}
+
+impl Stride {
+    const NONE: Self = Self { row: [0.0; UNKNOWN], share: 1.0 };
+
+    /// Share of the next step to try first. Along a curved valley Gauss-Newton steps are too short: while
+    /// they continue in one direction, each is twice as long as the one before.
+    fn next_share(&self, next: &Row) -> f64 {
+        let dot = |a: &Row, b: &Row| a[..6].iter().zip(&b[..6]).map(|(a, b)| a * b).sum::<f64>();
+        let continues = dot(&self.row, next) > CONTINUES * sqrt(dot(&self.row, &self.row) * dot(next, next));
+        if continues { (2.0 * self.share).max(1.0) } else { 1.0 }
+    }
 }
 
 impl<'a> GelFit<'a> {
@@ -109,6 +131,7 @@ impl<'a> GelFit<'a> {
         let mut end = End::NONE;
         let sigma_mm = self.problem.params.point_sigma_mm;
         let tolerance_mm = 10.0 * self.problem.params.advanced.step_tolerance * sigma_mm;
+        let mut last = Stride::NONE;
         while end.iterations < limits.max_steps
             && !end.converged
             && end.work < limits.max_work
@@ -119,8 +142,9 @@ impl<'a> GelFit<'a> {
             end.work += work;
             let Some(step) = step else { break };
             let full_mm = sqrt(step.row[..6].iter().map(|x| x * x).sum());
-            let (mut share, mut accepted, before) = (1.0, false, scratch.here.cost);
-            for _ in 0..TRIES {
+            let (mut share, mut accepted, before) = (last.next_share(&step.row), false, scratch.here.cost);
+            let tries = if share > 1.0 { TRIES + 1 } else { TRIES };
+            for _ in 0..tries {
                 let next = self.moved(state, &step.row, share);
                 end.work += self.predict(&next, scratch);
                 let rise = scratch.there.cost - before;
@@ -130,12 +154,17 @@ impl<'a> GelFit<'a> {
                     accepted = true;
                     break;
                 }
+                if share > 1.0 {
+                    share = 1.0;
+                    continue;
+                }
                 let gain;
                 (share, gain) = step.lowest(share, rise);
                 if gain < MIN_GAIN || share * full_mm < tolerance_mm {
                     break;
                 }
             }
+            last = Stride { row: step.row, share };
             let is_gained = before - scratch.here.cost > MIN_GAIN;
             end.converged = !accepted || !is_gained || share * full_mm < tolerance_mm;
         }
