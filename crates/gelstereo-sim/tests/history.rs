@@ -51,6 +51,22 @@ fn a_drag_in_many_steps_is_a_drag_in_one() {
     assert!((stepped.force_n - once.force_n).length() < 0.02 * once.force_n.x.abs(), "{stepped:?} {once:?}");
 }
 
+/// Under a steady drag the zone that sticks shrinks (Cattaneo 1938): no marker sticks again.
+#[test]
+fn a_zone_that_slips_goes_on_slipping() {
+    for friction in [0.2, 0.5, 0.8] {
+        let scene = scene(friction);
+        let pose = pressed(&scene, 0.8);
+        let mut simulator = simulator(&scene);
+        let stuck =
+            (0..24).map(|n| count(&at(&mut simulator, shifted(pose, 0.012 * f64::from(n))), Stick::Stuck));
+        let stuck: Vec<usize> = stuck.collect();
+        // A marker that comes under the moving ball may touch without slip.
+        assert!(stuck.windows(2).all(|pair| pair[1] <= pair[0] + 1), "{friction}: {stuck:?}");
+        assert!(stuck[0] > 10 && stuck[23] < stuck[0], "{friction}: {stuck:?}");
+    }
+}
+
 /// Markers under a part that does not slip go where it goes.
 #[test]
 fn markers_that_stick_follow_the_part() {
