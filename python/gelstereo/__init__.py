@@ -62,6 +62,8 @@ from gelstereo._native import (
     SimulatedFrame,
     SimulatedLoads,
     Simulator,
+    Slip,
+    SlipTracker,
     Surface,
     Symmetry,
     Template,
@@ -84,7 +86,7 @@ from gelstereo._native import (
 )
 from gelstereo.inspection import Inspection, inspect
 from gelstereo.simulation import simulate
-from gelstereo.states import MarkerState, Sight, Stick
+from gelstereo.states import MarkerState, Sight, SlipStatus, Stick
 
 __all__ = [
     "CameraError",
@@ -137,6 +139,9 @@ __all__ = [
     "SimulatedFrame",
     "SimulatedLoads",
     "Simulator",
+    "Slip",
+    "SlipStatus",
+    "SlipTracker",
     "Stick",
     "Surface",
     "Symmetry",

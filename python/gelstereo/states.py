@@ -46,7 +46,7 @@ class Sight(IntEnum):
 
 
 class Stick(IntEnum):
-    """Whether the simulated gel around a marker moves with the part, as in `SimulatedLoads.stick`.
+    """Whether the gel around a marker moves with the part, as in `Frame.stick` and `SimulatedLoads.stick`.
 
     Examples
     --------
@@ -60,3 +60,26 @@ class Stick(IntEnum):
     """It moves with the part."""
     SLIPS = 2
     """It slips along the part."""
+    UNKNOWN = 3
+    """In contact, but not known: it has just touched, it is not seen, or too few markers stick. Never of a
+    simulated gel.
+    """
+
+
+class SlipStatus(IntEnum):
+    """Slip of a contact as a whole, as in `Slip.status`.
+
+    Examples
+    --------
+    >>> SlipStatus(2).name
+    'INCIPIENT'
+    """
+
+    UNKNOWN = 0
+    """Fewer than three markers have been in contact for two frames."""
+    STUCK = 1
+    """No marker slips."""
+    INCIPIENT = 2
+    """Some markers slip; the part is still held."""
+    GROSS = 3
+    """Too few markers stick to hold the part. It lasts until the part leaves the gel."""

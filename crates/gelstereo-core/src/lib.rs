@@ -34,6 +34,7 @@ pub mod params;
 pub mod pipeline;
 pub mod register;
 pub mod rig;
+pub mod slip;
 pub mod spatial;
 pub mod stop;
 pub mod surface;

@@ -147,6 +147,15 @@ impl ToPython for core::force::ForceError {
     }
 }
 
+impl ToPython for core::slip::SlipError {
+    fn to_python(&self) -> PyErr {
+        match self {
+            Self::Params(error) => error.to_python(),
+            error => ContactError::new_err(error.to_string()),
+        }
+    }
+}
+
 impl ToPython for core::pipeline::PipelineError {
     /// The exception of the stage that failed, with the pipeline's text, which names the view.
     fn to_python(&self) -> PyErr {
@@ -160,6 +169,7 @@ impl ToPython for core::pipeline::PipelineError {
             E::Triangulate(core::triangulate::TriangulateError::Rig(_)) => RigError::new_err(text),
             E::Triangulate(_) | E::Epipolar { .. } => TriangulateError::new_err(text),
             E::Force(error) => error.to_python(),
+            E::Slip(error) => error.to_python(),
             E::Contact(_) | E::Record(_) => ContactError::new_err(text),
         }
     }

@@ -4,6 +4,7 @@ use crate::arrays::{self, Array1, Matrix};
 use crate::force::Wrench;
 use crate::notebook;
 use crate::pickle;
+use crate::slip::Slip;
 use gelstereo_core::params::Centre;
 use gelstereo_core::pipeline as core;
 use numpy::PyArray3;
@@ -128,6 +129,13 @@ pub struct Frame {
     /// Their force and torque, a `Wrench`; `None` without contact, or without ``force.method``.
     #[pyo3(get)]
     wrench: Option<Py<Wrench>>,
+    /// (N,) uint8 values of `Stick`: whether the gel around each marker moves with the part; (0,) without
+    /// ``slip.method``.
+    #[pyo3(get)]
+    stick: Array1<u8>,
+    /// Slip of the contact, a `Slip`; `None` without contact, or without ``slip.method``.
+    #[pyo3(get)]
+    slip: Option<Py<Slip>>,
     /// Markers whose two views do not match, judged by rows, disparity, or depth relative to their
     /// neighbours.
     #[pyo3(get)]
@@ -184,6 +192,8 @@ impl Frame {
             patch_points_mm: arrays::rows::<_, 3>(py, patch_points)?,
             traction_kpa: arrays::rows::<_, 3>(py, frame.traction_kpa)?,
             wrench: frame.wrench.map(|wrench| Py::new(py, Wrench::from_core(wrench))).transpose()?,
+            stick: arrays::list(py, frame.stick.into_iter().map(|s| s as u8).collect()),
+            slip: frame.slip.map(|slip| Py::new(py, Slip::from_core(slip))).transpose()?,
             mismatched: frame.mismatched,
             motion_px: frame.motion_px,
             work: frame.work,

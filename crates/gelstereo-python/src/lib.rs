@@ -32,6 +32,7 @@ mod register;
 mod rest_record;
 mod rig;
 mod sim;
+mod slip;
 mod surface;
 mod template;
 mod tree;
@@ -96,8 +97,10 @@ mod _native {
     #[pymodule_export]
     use crate::sim::{
         Plan, PlannedEffect, Scene, SimulatedDots, SimulatedFrame, SimulatedLoads, Simulator, shape_mesh,
-        sights, sticks,
+        sights,
     };
+    #[pymodule_export]
+    use crate::slip::{Slip, SlipTracker, slip_statuses, sticks};
     #[pymodule_export]
     use crate::surface::DenseSurface;
     #[pymodule_export]

@@ -30,4 +30,4 @@ pub use plan::{Asked, Plan, Switch, Switches};
 pub use render::Ellipse;
 pub use scene::{Gel, GelKeyframe, Images, Keyframe, Scene, SceneError};
 pub use shapes::Shape;
-pub use simulator::{ContactState, DotImage, Loads, Sight, Simulator, Stick, Truth};
+pub use simulator::{ContactState, DotImage, Loads, Sight, Simulator, Truth};

@@ -3,8 +3,9 @@
 
 use super::common::{press, simulator, with_effects};
 use gelstereo_core::math::{DVec2, DVec3, Pose, so3};
+use gelstereo_core::slip::Stick;
 use gelstereo_sim::effects::{Effects, ElasticLayer, Relaxation};
-use gelstereo_sim::{ContactState, Loads, Scene, SceneError, Shape, Simulator, Stick, Truth};
+use gelstereo_sim::{ContactState, Loads, Scene, SceneError, Shape, Simulator, Truth};
 
 const RADIUS_MM: f64 = 5.0;
 

@@ -13,6 +13,7 @@ mod presets;
 mod register;
 mod renamed;
 mod roi;
+mod slip;
 mod track;
 mod triangulate;
 
@@ -28,6 +29,7 @@ pub use register::{
 };
 pub use renamed::{former, renamed_setting, replaced_method};
 pub use roi::{Region, RoiParams};
+pub use slip::{SlipMethod, SlipParams};
 pub use track::{Motion, TrackParams};
 pub use triangulate::{DiscBias, TriangulateMethod, TriangulateParams};
 
@@ -53,6 +55,8 @@ pub struct Params {
     pub contact: ContactParams,
     /// Force and torque of a contact.
     pub force: ForceParams,
+    /// Slip of the part along the gel.
+    pub slip: SlipParams,
     /// Registration to the template.
     pub register: RegisterParams,
 }
@@ -102,6 +106,7 @@ impl Params {
         self.triangulate.validate()?;
         self.contact.validate()?;
         self.force.validate()?;
+        self.slip.validate()?;
         self.register.validate()
     }
 }

@@ -2,8 +2,8 @@
 
 use super::{
     Background, Centre, ContactParams, DetectParams, DiscBias, FindAt, FitParams, ForceParams, LabelMethod,
-    LabelParams, LatticeParams, Motion, Params, RegisterMethod, RegisterParams, Saliency, Search, Threshold,
-    TrackParams, TriangulateMethod, TriangulateParams,
+    LabelParams, LatticeParams, Motion, Params, RegisterMethod, RegisterParams, Saliency, Search, SlipParams,
+    Threshold, TrackParams, TriangulateMethod, TriangulateParams,
 };
 
 impl Params {
@@ -64,6 +64,7 @@ impl Params {
             triangulate: TriangulateParams { method: TriangulateMethod::Polynomial, ..Default::default() },
             contact: ContactParams { saliency: Saliency::Adaptive, ..Default::default() },
             force: ForceParams::default(),
+            slip: SlipParams::default(),
             register: RegisterParams { method: RegisterMethod::SurfaceSearch, ..Default::default() },
         }
     }

@@ -7,6 +7,7 @@ use crate::force::ForceError;
 use crate::lattice::LabelError;
 use crate::params::{ParamsError, Pitch};
 pub use crate::rig::View;
+use crate::slip::SlipError;
 use crate::triangulate::TriangulateError;
 
 /// Why a frame gave no result. Tracks and rest surface are unchanged since the last good frame.
@@ -43,6 +44,8 @@ pub enum PipelineError {
     Contact(ContactError),
     /// Forces cannot be estimated on this lattice.
     Force(ForceError),
+    /// Slip cannot be found on this print.
+    Slip(SlipError),
     /// The views' rest frames show lattices of different sizes.
     Lattices {
         /// Rows and columns found in the left view.
@@ -82,6 +85,7 @@ impl core::fmt::Display for PipelineError {
             Self::Triangulate(error) => error.fmt(f),
             Self::Contact(error) => error.fmt(f),
             Self::Force(error) => error.fmt(f),
+            Self::Slip(error) => error.fmt(f),
             Self::Record(error) => error.fmt(f),
             Self::Lattices { left, right } => write!(
                 f,

@@ -6,6 +6,7 @@ use crate::math::linalg::Symmetric;
 use crate::math::{DVec2, DVec3};
 use crate::params::Centre;
 use crate::register::Contact;
+use crate::slip::{Slip, Stick};
 use crate::track::MarkerState;
 use alloc::vec::Vec;
 
@@ -94,6 +95,12 @@ pub struct Frame {
     /// Their force and torque; `None` without contact, or without `force.method`.
     #[cfg_attr(feature = "serde", serde(default))]
     pub wrench: Option<Wrench>,
+    /// Whether the gel around each marker moves with the part; empty without `slip.method`.
+    #[cfg_attr(feature = "serde", serde(default))]
+    pub stick: Vec<Stick>,
+    /// Slip of the contact; `None` without contact, or without `slip.method`.
+    #[cfg_attr(feature = "serde", serde(default))]
+    pub slip: Option<Slip>,
     /// Decay length used to detect the contact, over which the gel returns to rest beside it,
     /// millimetres: `contact.decay_mm`, or the value learned since.
     pub decay_mm: f64,
@@ -139,13 +146,18 @@ impl Frame {
         let digest =
             flags.fold(digest, |d, (&salient, &patch)| d.bytes(&[u8::from(salient), u8::from(patch)]));
         let digest = view(view(digest, &self.left), &self.right);
-        // Without forces, the digest is that of the other results.
-        let Some(wrench) = &self.wrench else { return digest.value() };
-        digest
-            .f64s(self.traction_kpa.iter().flat_map(|q| q.to_array()))
-            .f64s(wrench.force_n.to_array().into_iter().chain(wrench.torque_nmm.to_array()))
-            .f64s(wrench.covariance.iter().flatten().copied())
-            .value()
+        // Without forces and slip, the digest is that of the other results.
+        let digest = match &self.wrench {
+            Some(wrench) => digest
+                .f64s(self.traction_kpa.iter().flat_map(|q| q.to_array()))
+                .f64s(wrench.force_n.to_array().into_iter().chain(wrench.torque_nmm.to_array()))
+                .f64s(wrench.covariance.iter().flatten().copied()),
+            None => digest,
+        };
+        let Some(slip) = &self.slip else { return digest.value() };
+        let digest = self.stick.iter().fold(digest, |d, &stick| d.bytes(&[stick as u8]));
+        let poses = slip.motion.iter().flat_map(|motion| motion.pose.to_rows()).flatten();
+        digest.bytes(&[slip.status as u8]).f64s(slip.stick_range).f64s(poses).value()
     }
 
     /// Points of the contact patch in the order of the markers (sensor frame, millimetres); `out` is

@@ -32,8 +32,9 @@ use crate::image::GrayView;
 use crate::lattice::LatticeFinder;
 use crate::math::linalg::Symmetric;
 use crate::math::{DVec2, DVec3};
-use crate::params::{DiscBias, ForceMethod, Params};
+use crate::params::{DiscBias, ForceMethod, Params, SlipMethod};
 use crate::rig::Rig;
+use crate::slip::SlipTracker;
 use crate::track::{MarkerState, Tracks};
 use crate::triangulate::{Centres, Triangulator};
 use alloc::vec::Vec;
@@ -55,10 +56,12 @@ pub struct Pipeline {
     contact: ContactDetector,
     /// With `force.method`, since the rest frame.
     force: Option<ForceEstimator>,
+    /// With `slip.method`, since the rest frame.
+    slip: Option<SlipTracker>,
     rest_variance_mm2: Vec<f64>,
     epipolar: Epipolar,
     reference_px: Vec<DVec2>,
-    slips: StereoMismatch,
+    stereo_mismatch: StereoMismatch,
     discs: Discs,
     points_mm: Vec<DVec3>,
     covariance_mm2: Vec<Symmetric<3>>,
@@ -94,10 +97,11 @@ impl Pipeline {
             skin: None,
             contact: ContactDetector::new(&params.contact),
             force: None,
+            slip: None,
             rest_variance_mm2: Vec::new(),
             epipolar: Epipolar::default(),
             reference_px: Vec::new(),
-            slips: StereoMismatch::default(),
+            stereo_mismatch: StereoMismatch::default(),
             discs: Discs::default(),
             points_mm: Vec::new(),
             covariance_mm2: Vec::new(),
@@ -158,6 +162,7 @@ impl Pipeline {
         self.rest = None;
         self.skin = None;
         self.force = None;
+        self.slip = None;
         self.contact.forget();
         self.epipolar = Epipolar::default();
         self.frames = 0;
@@ -224,7 +229,8 @@ impl Pipeline {
         self.left.check_size(&left)?;
         self.right.check_size(&right)?;
         let after = work::after_detection(&self.params, &self.left.size(&self.params))
-            + self.force.as_ref().map_or(0, ForceEstimator::work);
+            + self.force.as_ref().map_or(0, ForceEstimator::work)
+            + self.slip.as_ref().map_or(0, SlipTracker::work);
         let of_view = limit.map(|limit| limit.saturating_sub(after) / 2);
         let (left_stages, right_stages) = (&mut self.left, &mut self.right);
         let (params, follows) = (&self.params, self.rest.is_some());
@@ -324,7 +330,13 @@ impl Pipeline {
         let (left, right) = (self.left.labelled(), self.right.labelled());
         self.contact.start(&rest, self.left.rows, self.left.cols).map_err(PipelineError::Contact)?;
         let (cols, pitch_px) = (self.left.cols, self.left.pitch_px);
-        self.slips.learn(&self.triangulator, &rest, [centres(left), centres(right)], cols, pitch_px);
+        self.stereo_mismatch.learn(
+            &self.triangulator,
+            &rest,
+            [centres(left), centres(right)],
+            cols,
+            pitch_px,
+        );
         copy_into(&left.positions_px, &mut self.reference_px);
         let depth_mm = self.params.lattice.depth_mm;
         let skin = (depth_mm > 0.0).then(|| Skin::new(&rest, cols, depth_mm)).transpose();
@@ -333,7 +345,10 @@ impl Pipeline {
         let force = (asked.method != ForceMethod::None)
             .then(|| ForceEstimator::new(asked, surface, cols, &self.covariance_mm2));
         let force = force.transpose().map_err(PipelineError::Force)?;
-        (self.skin, self.force, self.rest) = (skin, force, Some(rest));
+        let asked = &self.params.slip;
+        let slip = (asked.method != SlipMethod::None).then(|| SlipTracker::new(asked, surface, cols));
+        let slip = slip.transpose().map_err(PipelineError::Slip)?;
+        (self.skin, self.force, self.slip, self.rest) = (skin, force, slip, Some(rest));
         Ok(())
     }
 
@@ -377,7 +392,7 @@ impl Pipeline {
         self.discs.correct(&ready, centres(left), centres(right), &mut out.points_mm);
         rest.indentation_mm(&out.points_mm, &mut out.indentation_mm).map_err(PipelineError::Contact)?;
         let Frame { indentation_mm, state, points_mm, covariance_mm2, mismatched, .. } = out;
-        *mismatched += self.slips.hold(indentation_mm, state, |i| {
+        *mismatched += self.stereo_mismatch.hold(indentation_mm, state, |i| {
             (points_mm[i], covariance_mm2[i]) = (self.points_mm[i], self.covariance_mm2[i]);
         });
         rest.indentation_mm(points_mm, indentation_mm).map_err(PipelineError::Contact)?;
@@ -412,6 +427,13 @@ impl Pipeline {
             let Frame { points_mm, covariance_mm2, state, patch, traction_kpa, .. } = out;
             let moved = MovedMarkers { points_mm, covariance_mm2, state, patch };
             out.wrench = force.run(&moved, traction_kpa).map_err(PipelineError::Force)?;
+        }
+        out.slip = None;
+        out.stick.clear();
+        if let Some(slip) = &mut self.slip {
+            let Frame { points_mm, covariance_mm2, state, patch, stick, .. } = out;
+            let moved = MovedMarkers { points_mm, covariance_mm2, state, patch };
+            out.slip = slip.run(&moved, stick).map_err(PipelineError::Slip)?;
         }
         out.motion_px = contact::mean_motion_px(&self.reference_px, &out.left_px, &out.state);
         out.left = self.left.evidence;

@@ -30,12 +30,6 @@ pub fn sights() -> std::collections::BTreeMap<&'static str, u8> {
     sim::Sight::ALL.map(|(name, sight)| (name, sight as u8)).into()
 }
 
-/// Names and values of the simulator's states of sticking, repeated in `gelstereo.Stick` for typing.
-#[pyfunction]
-pub fn sticks() -> std::collections::BTreeMap<&'static str, u8> {
-    sim::Stick::ALL.map(|(name, stick)| (name, stick as u8)).into()
-}
-
 /// A scene ready to run: a sequence of the `SimulatedFrame` s that arrive, each simulated on access.
 ///
 /// Parameters

@@ -6,6 +6,7 @@ use crate::scene::SceneError;
 use alloc::vec::Vec;
 use gelstereo_core::layer::N_PER_KPA_MM2;
 use gelstereo_core::math::{DVec3, Pose, abs, sqrt};
+use gelstereo_core::slip::Stick;
 
 /// A cell slips if its traction is at least this fraction of Coulomb's bound. The last step of the solver
 /// may end on a chord of the bound's circle: with 1 - 1e-9 whole slipping zones counted as stuck in single
@@ -19,25 +20,6 @@ const CLOSE: f64 = 1e-4;
 /// Halvings of the depth: 40 reach the rounding of a double.
 const MAX_TRIALS: usize = 40;
 
-/// Whether the gel around a marker moves with the part.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[repr(u8)]
-pub enum Stick {
-    /// The part does not press here.
-    #[default]
-    Free = 0,
-    /// It moves with the part.
-    Stuck = 1,
-    /// It slips along the part.
-    Slips = 2,
-}
-
-impl Stick {
-    /// All values with their names.
-    pub const ALL: [(&'static str, Self); 3] =
-        [("FREE", Self::Free), ("STUCK", Self::Stuck), ("SLIPS", Self::Slips)];
-}
-
 /// Loads that the part exerts on the gel; known with `effects.elastic_layer`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Loads {
@@ -49,7 +31,7 @@ pub struct Loads {
     pub about_mm: DVec3,
     /// Mean traction over the square around each marker, kilopascals along the sensor's axes.
     pub traction_kpa: Vec<DVec3>,
-    /// Whether the gel sticks to the part, at each marker's place.
+    /// Whether the gel sticks to the part, at each marker's place; never unknown.
     pub stick: Vec<Stick>,
 }
 

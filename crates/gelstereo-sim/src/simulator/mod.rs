@@ -9,7 +9,7 @@ mod shutter;
 mod truth;
 
 use layered::Layered;
-pub use loads::{Loads, Stick};
+pub use loads::Loads;
 pub use truth::{DotImage, OUT_OF_SIGHT_PX, Sight, Truth};
 
 use crate::effects::{Bridge, Print, Pull, Sag, Speck, Spreading, Worn};

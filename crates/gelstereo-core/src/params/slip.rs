@@ -1,0 +1,51 @@
+//! Slip of the part along the gel.
+
+use super::{ParamsError, check};
+
+/// How slip is found.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "snake_case"))]
+pub enum SlipMethod {
+    /// It is not.
+    #[default]
+    None,
+    /// Markers in contact that do not move with the rigid motion of the others slip.
+    Rigid,
+}
+
+/// Slip of the part along the gel, from the motion of the markers in contact.
+#[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(
+    feature = "serde",
+    derive(serde::Serialize, serde::Deserialize),
+    serde(default, deny_unknown_fields)
+)]
+pub struct SlipParams {
+    /// How slip is found. Default: `none`. Set `rigid` to find slip.
+    pub method: SlipMethod,
+    /// Rate of false alarms by the noise of the markers, while the part does not slip. Valid: 0.000001 to
+    /// 3600 per hour. Default: `1` per hour. A higher rate finds slip earlier.
+    pub false_alarms_per_hour: f64,
+    /// Rate of the frames, from which the probability of a false alarm in one frame follows. Valid: 0.001 to
+    /// 100000 Hz. Default: `30` Hz. Change it to the camera's.
+    pub frame_rate_hz: f64,
+}
+
+impl Default for SlipParams {
+    fn default() -> Self {
+        Self { method: SlipMethod::None, false_alarms_per_hour: 1.0, frame_rate_hz: 30.0 }
+    }
+}
+
+impl SlipParams {
+    /// Checks every setting against its meaning.
+    ///
+    /// # Errors
+    /// The first [`ParamsError`] found.
+    pub fn validate(&self) -> Result<(), ParamsError> {
+        let (alarms, rate_hz) = (self.false_alarms_per_hour, self.frame_rate_hz);
+        let valid = "0.000001 to 3600 per hour";
+        check((1e-6..=3600.0).contains(&alarms), "slip.false_alarms_per_hour", alarms, valid)?;
+        check((1e-3..=1e5).contains(&rate_hz), "slip.frame_rate_hz", rate_hz, "0.001 to 100000 Hz")
+    }
+}

@@ -1,0 +1,267 @@
+//! Follows the markers of a contact and tells which of them slip.
+
+use super::error::SlipError;
+use super::fit::{Pair, RigidMotion, columns, rigid};
+use super::stick::{Slip, SlipStatus, Stick};
+use crate::contact::RestSurface;
+use crate::force::MovedMarkers;
+use crate::math::linalg::Symmetric;
+use crate::math::{DMat3, DVec3, Factor, Pose, ln};
+use crate::params::SlipParams;
+use crate::track::MarkerState;
+use alloc::vec::Vec;
+
+/// Fewest markers of a rigid motion.
+const MIN_MARKERS: usize = 3;
+/// Stick ratio below which the part is not held.
+const HELD: f64 = 0.1;
+/// Width of the rim of a patch in which markers may be in contact unseen, in pitches. Patches leave out
+/// markers that are hardly pressed: on simulated balls and pegs, the rim that is missing is up to 0.6 pitches
+/// wide, on plates none.
+const RIM: f64 = 0.5;
+/// A slipping marker sticks again after moving this many gates with the part.
+const AGAIN: f64 = 4.0;
+const SECONDS_PER_HOUR: f64 = 3600.0;
+/// Instructions of a baseline x86-64 processor for one marker in contact and frame.
+const PER_MARKER: u64 = 6;
+
+/// A marker since it touched the part, or since it slipped last.
+#[derive(Clone, Copy, Debug, Default)]
+struct Anchor {
+    is_set: bool,
+    slips: bool,
+    /// Part frame, which is the sensor frame at touch.
+    part_mm: DVec3,
+    /// Of the position, part frame.
+    covariance_mm2: Symmetric<3>,
+    /// The same position, sensor frame.
+    sensor_mm: DVec3,
+}
+
+/// Finds slip from frame to frame. It allocates nothing after it was made.
+#[derive(Clone, Debug)]
+pub struct SlipTracker {
+    params: SlipParams,
+    cols: usize,
+    /// Two directions along the gel.
+    along: [DVec3; 2],
+    anchors: Vec<Anchor>,
+    pose: Pose,
+    is_gross: bool,
+    pairs: Vec<Pair>,
+    /// Markers in contact in the last frame.
+    touched: usize,
+}
+
+impl SlipTracker {
+    /// For the markers of this rest surface, row by row, `cols` in each.
+    ///
+    /// # Errors
+    /// [`SlipError::Params`], or [`SlipError::Lattice`] unless the markers fill whole rows.
+    pub fn new(params: &SlipParams, rest: &RestSurface, cols: usize) -> Result<Self, SlipError> {
+        params.validate().map_err(SlipError::Params)?;
+        let markers = rest.points_mm().len();
+        if cols == 0 || !markers.is_multiple_of(cols) {
+            return Err(SlipError::Lattice { markers, cols });
+        }
+        let (x, y) = rest.normal().any_orthonormal_pair();
+        let mut anchors = Vec::new();
+        anchors.resize(markers, Anchor::default());
+        let (params, pairs) = (params.clone(), Vec::with_capacity(markers));
+        let pose = Pose::IDENTITY;
+        Ok(Self { params, cols, along: [x, y], anchors, pose, is_gross: false, pairs, touched: 0 })
+    }
+
+    /// Number of markers.
+    #[must_use]
+    pub fn markers(&self) -> usize {
+        self.anchors.len()
+    }
+
+    /// Predicted work of the next frame, in units of 1000 instructions: that of a contact as large as the
+    /// last one.
+    #[must_use]
+    pub const fn work(&self) -> u64 {
+        PER_MARKER * self.touched as u64
+    }
+
+    /// Forgets the contact: the next frame is the first touch.
+    pub fn restart(&mut self) {
+        self.anchors.fill(Anchor::default());
+        (self.pose, self.is_gross) = (Pose::IDENTITY, false);
+    }
+
+    /// Tells for every marker whether it sticks, and for the contact whether it slips; `None` without
+    /// contact. `out` is cleared first.
+    ///
+    /// # Errors
+    /// [`SlipError::Lengths`].
+    pub fn run(&mut self, moved: &MovedMarkers<'_>, out: &mut Vec<Stick>) -> Result<Option<Slip>, SlipError> {
+        let rest = self.anchors.len();
+        let lengths =
+            [moved.points_mm.len(), moved.covariance_mm2.len(), moved.state.len(), moved.patch.len()];
+        if let Some(&found) = lengths.iter().find(|&&found| found != rest) {
+            return Err(SlipError::Lengths { rest, found });
+        }
+        out.clear();
+        self.touched = moved.patch.iter().filter(|&&touches| touches).count();
+        if self.touched == 0 {
+            self.restart();
+            out.resize(rest, Stick::Free);
+            return Ok(None);
+        }
+        for (anchor, _) in self.anchors.iter_mut().zip(moved.patch).filter(|(_, touches)| !**touches) {
+            *anchor = Anchor::default();
+        }
+        let motion = if self.is_gross { None } else { self.follow(moved) };
+        if motion.is_none() {
+            // Without a motion of the part, all markers begin anew together.
+            self.anchors.fill(Anchor::default());
+        }
+        out.extend((0..rest).map(|i| self.judge(moved, i, motion.as_ref())));
+        Ok(Some(self.summary(moved, out, motion)))
+    }
+
+    /// The part's motion, from the markers that stick.
+    fn follow(&mut self, moved: &MovedMarkers<'_>) -> Option<RigidMotion> {
+        self.pairs.clear();
+        let turn = self.pose.matrix();
+        for (i, anchor) in self.anchors.iter().enumerate() {
+            if !anchor.is_set || anchor.slips || !is_usable(moved, i) {
+                continue;
+            }
+            let covariance = sum(&moved.covariance_mm2[i], &turned(&turn, &anchor.covariance_mm2));
+            if let Some(factor) = Factor::new(&covariance) {
+                let (anchor_mm, point_mm) = (anchor.part_mm, moved.points_mm[i]);
+                self.pairs.push(Pair { anchor_mm, point_mm, factor });
+            }
+        }
+        if self.pairs.len() < MIN_MARKERS {
+            return None;
+        }
+        let motion = rigid(&self.pairs, &self.pose)?;
+        self.pose = motion.pose;
+        Some(motion)
+    }
+
+    /// Whether a marker sticks. A marker that slips, or touches, is anchored where it is.
+    fn judge(&mut self, moved: &MovedMarkers<'_>, i: usize, motion: Option<&RigidMotion>) -> Stick {
+        if !moved.patch[i] {
+            return Stick::Free;
+        }
+        if !is_usable(moved, i) {
+            return Stick::Unknown;
+        }
+        let (point_mm, covariance) = (moved.points_mm[i], &moved.covariance_mm2[i]);
+        let (mut anchor, gate) = (self.anchors[i], self.gate());
+        if !anchor.is_set {
+            self.anchors[i] = self.anchored(point_mm, covariance, false);
+            return Stick::Unknown;
+        }
+        let Some(motion) = motion else { return Stick::Unknown };
+        let turn = self.pose.matrix();
+        let at_mm = self.pose.transform_point(anchor.part_mm);
+        let mut noise = sum(covariance, &turned(&turn, &anchor.covariance_mm2));
+        if anchor.slips {
+            // The others were used by the fit, which makes their residuals smaller.
+            noise = sum(&noise, &of_motion(motion, at_mm));
+        }
+        if self.squared(point_mm - at_mm, &noise) > gate {
+            self.anchors[i] = self.anchored(point_mm, covariance, true);
+            return Stick::Slips;
+        }
+        if anchor.slips && self.squared(point_mm - anchor.sensor_mm, &noise) > AGAIN * gate {
+            anchor.slips = false;
+            self.anchors[i] = anchor;
+        }
+        if anchor.slips { Stick::Slips } else { Stick::Stuck }
+    }
+
+    fn anchored(&self, point_mm: DVec3, covariance: &Symmetric<3>, slips: bool) -> Anchor {
+        let back = self.pose.inverse();
+        Anchor {
+            is_set: true,
+            slips,
+            part_mm: back.transform_point(point_mm),
+            covariance_mm2: turned(&back.matrix(), covariance),
+            sensor_mm: point_mm,
+        }
+    }
+
+    /// Squared distance along the gel over its variance. The noise of markers that stick exceeds it with the
+    /// probability exp(-d²/2) (two degrees of freedom).
+    fn squared(&self, off_mm: DVec3, noise: &Symmetric<3>) -> f64 {
+        let [x, y] = self.along;
+        let [xx, xy, yy] = [(x, x), (x, y), (y, y)].map(|(a, b)| form(noise, a, b));
+        let (u, v) = (off_mm.dot(x), off_mm.dot(y));
+        let determinant = xx * yy - xy * xy;
+        if determinant > 0.0 { (yy * u * u - 2.0 * xy * u * v + xx * v * v) / determinant } else { 0.0 }
+    }
+
+    /// Squared distance that one of all markers in contact exceeds by noise at the rate of false alarms.
+    fn gate(&self) -> f64 {
+        let frames_per_hour = SECONDS_PER_HOUR * self.params.frame_rate_hz;
+        let tests = frames_per_hour * self.touched as f64;
+        -2.0 * ln((self.params.false_alarms_per_hour / tests).min(0.5))
+    }
+
+    fn summary(&mut self, moved: &MovedMarkers<'_>, stick: &[Stick], motion: Option<RigidMotion>) -> Slip {
+        let count = |which| stick.iter().filter(|&&s| s == which).count();
+        let [stuck, slips, unknown] = [Stick::Stuck, Stick::Slips, Stick::Unknown].map(count);
+        let known = stuck + slips;
+        let ratio = (known > 0).then(|| stuck as f64 / known as f64);
+        let is_lost = slips > 0 && (stuck < MIN_MARKERS || ratio.is_some_and(|ratio| ratio < HELD));
+        self.is_gross |= is_lost;
+        let status = match ratio {
+            _ if self.is_gross => SlipStatus::Gross,
+            None => SlipStatus::Unknown,
+            Some(_) if slips > 0 => SlipStatus::Incipient,
+            Some(_) => SlipStatus::Stuck,
+        };
+        let border = (0..stick.len()).filter(|&i| moved.patch[i] && self.is_border(moved.patch, i)).count();
+        let all = (known + unknown) as f64;
+        let least = stuck as f64 / (all + RIM * border as f64);
+        let stick_range = [least, (stuck + unknown) as f64 / all];
+        Slip { status, stick_ratio: ratio, stick_range, motion }
+    }
+
+    /// Whether a neighbour in the row or column is outside the patch.
+    fn is_border(&self, patch: &[bool], i: usize) -> bool {
+        let (cols, column) = (self.cols, i % self.cols);
+        let out = |inside: bool, j: usize| !(inside && patch[j]);
+        out(column > 0, i.wrapping_sub(1))
+            || out(column + 1 < cols, i + 1)
+            || out(i >= cols, i.wrapping_sub(cols))
+            || out(i + cols < patch.len(), i + cols)
+    }
+}
+
+fn is_usable(moved: &MovedMarkers<'_>, i: usize) -> bool {
+    moved.patch[i] && moved.state[i] == MarkerState::Seen && moved.points_mm[i].is_finite()
+}
+
+/// R C Rᵀ.
+fn turned(turn: &DMat3, covariance: &Symmetric<3>) -> Symmetric<3> {
+    let c = DMat3::from_cols_array_2d(covariance);
+    (*turn * c * turn.transpose()).to_cols_array_2d()
+}
+
+fn sum(a: &Symmetric<3>, b: &Symmetric<3>) -> Symmetric<3> {
+    core::array::from_fn(|i| core::array::from_fn(|k| a[i][k] + b[i][k]))
+}
+
+/// aᵀ C b.
+fn form(covariance: &Symmetric<3>, a: DVec3, b: DVec3) -> f64 {
+    (DMat3::from_cols_array_2d(covariance) * b).dot(a)
+}
+
+/// Covariance of a point of the part by that of its motion: J C Jᵀ.
+fn of_motion(motion: &RigidMotion, at_mm: DVec3) -> Symmetric<3> {
+    let jacobian = columns(at_mm - motion.about_mm);
+    core::array::from_fn(|r| {
+        core::array::from_fn(|s| {
+            let all = (0..6).flat_map(|i| (0..6).map(move |k| (i, k)));
+            all.map(|(i, k)| jacobian[i][r] * motion.covariance[i][k] * jacobian[k][s]).sum()
+        })
+    })
+}

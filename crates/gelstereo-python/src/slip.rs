@@ -1,0 +1,174 @@
+//! Slip of the part along the gel.
+
+use crate::arrays::{self, Array1, Count, Matrix, Numbers};
+use crate::contact::RestSurface;
+use crate::errors::raise;
+use crate::params::Params;
+use gelstereo_core::force::MovedMarkers;
+use gelstereo_core::math::DVec3;
+use gelstereo_core::slip as core;
+use gelstereo_core::track::MarkerState;
+use pyo3::prelude::*;
+use std::sync::{Mutex, PoisonError};
+
+/// Names and values of the states of sticking, repeated in `gelstereo.Stick` for typing.
+#[pyfunction]
+pub fn sticks() -> std::collections::BTreeMap<&'static str, u8> {
+    core::Stick::ALL.map(|(name, stick)| (name, stick as u8)).into()
+}
+
+/// Names and values of the states of a contact, repeated in `gelstereo.SlipStatus` for typing.
+#[pyfunction]
+pub fn slip_statuses() -> std::collections::BTreeMap<&'static str, u8> {
+    core::SlipStatus::ALL.map(|(name, status)| (name, status as u8)).into()
+}
+
+/// Slip of a contact in one frame.
+#[pyclass(frozen, module = "gelstereo")]
+pub struct Slip {
+    inner: core::Slip,
+}
+
+impl Slip {
+    pub const fn from_core(inner: core::Slip) -> Self {
+        Self { inner }
+    }
+}
+
+#[pymethods]
+impl Slip {
+    /// Value of `SlipStatus`.
+    #[getter]
+    const fn status(&self) -> u8 {
+        self.inner.status as u8
+    }
+
+    /// Markers that stick over those known to stick or slip; `None` while none is known.
+    #[getter]
+    const fn stick_ratio(&self) -> Option<f64> {
+        self.inner.stick_ratio
+    }
+
+    /// Range of the ratio of areas: unknown markers stick or slip, and up to half a pitch around the patch
+    /// may slip unseen.
+    #[getter]
+    const fn stick_range(&self) -> (f64, f64) {
+        let [least, most] = self.inner.stick_range;
+        (least, most)
+    }
+
+    /// (4, 4) motion of the part since it touched the gel, in the sensor frame; `None` if fewer than three
+    /// markers stick.
+    #[getter]
+    fn motion(&self, py: Python<'_>) -> PyResult<Option<Matrix>> {
+        self.inner.motion.map(|motion| arrays::matrix(py, motion.pose.to_rows())).transpose()
+    }
+
+    /// (6, 6) covariance of a small rotation about `about_mm` and a small translation: rad², rad mm and mm²;
+    /// `None` without `motion`.
+    #[getter]
+    fn motion_covariance(&self, py: Python<'_>) -> PyResult<Option<Matrix>> {
+        self.inner.motion.map(|motion| arrays::matrix(py, motion.covariance)).transpose()
+    }
+
+    /// (3,) centroid of the markers that stick; `None` without `motion`.
+    #[getter]
+    fn about_mm(&self, py: Python<'_>) -> Option<Array1<f64>> {
+        self.inner.motion.map(|motion| arrays::list(py, motion.about_mm.to_array().to_vec()))
+    }
+
+    fn __repr__(&self) -> String {
+        let names = core::SlipStatus::ALL;
+        let name = names.iter().find(|(_, status)| *status == self.inner.status).map_or("", |(name, _)| name);
+        let [least, most] = self.inner.stick_range;
+        format!("<Slip: {name}, stick ratio between {least:.2} and {most:.2}>")
+    }
+}
+
+/// Finds slip from frame to frame: markers in contact that do not move with the rigid motion of the others.
+///
+/// Parameters
+/// ----------
+/// rest : RestSurface
+///     Row by row.
+/// params : Params
+///     Its table ``slip`` is used.
+/// cols : int
+///     Markers in a row.
+///
+/// Raises
+/// ------
+/// ParamsError
+///     If a setting is not valid.
+/// ContactError
+///     If the markers do not fill whole rows.
+#[pyclass(frozen, module = "gelstereo")]
+pub struct SlipTracker {
+    inner: Mutex<core::SlipTracker>,
+}
+
+impl SlipTracker {
+    fn inner(&self) -> std::sync::MutexGuard<'_, core::SlipTracker> {
+        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+#[pymethods]
+impl SlipTracker {
+    #[new]
+    #[pyo3(signature = (rest, params, *, cols))]
+    fn new(rest: &RestSurface, params: &Params, cols: Count) -> PyResult<Self> {
+        let made = core::SlipTracker::new(&params.inner.slip, rest.core(), cols.0);
+        Ok(Self { inner: Mutex::new(made.map_err(raise)?) })
+    }
+
+    fn __repr__(&self) -> String {
+        format!("<SlipTracker: {} markers>", self.inner().markers())
+    }
+
+    /// Forget the contact: the next frame is the first touch.
+    fn restart(&self) {
+        self.inner().restart();
+    }
+
+    /// Find slip from the markers of the next frame.
+    ///
+    /// Parameters
+    /// ----------
+    /// points_mm : (N, 3) array_like
+    ///     Sensor frame; NaN for a marker that is not seen.
+    /// covariance_mm2 : (N, 3, 3) array_like
+    ///     Their covariances.
+    /// patch : (N,) array_like of bool
+    ///     Whether the part touches the gel at the marker.
+    ///
+    /// Returns
+    /// -------
+    /// stick : (N,) uint8
+    ///     Values of `Stick`.
+    /// slip : Slip or None
+    ///     None without contact.
+    ///
+    /// Raises
+    /// ------
+    /// ContactError
+    ///     If a list has another length than the rest markers.
+    fn run(
+        &self,
+        py: Python<'_>,
+        points_mm: &Bound<'_, PyAny>,
+        covariance_mm2: &Bound<'_, PyAny>,
+        patch: Vec<bool>,
+    ) -> PyResult<(Array1<u8>, Option<Slip>)> {
+        let (points, covariances) =
+            (Numbers::new(points_mm, "points_mm")?, Numbers::new(covariance_mm2, "covariance_mm2")?);
+        let (points_mm, covariance_mm2) = (points.rows::<DVec3, 3>()?, covariances.matrices()?);
+        let seen = |point: &DVec3| if point.is_finite() { MarkerState::Seen } else { MarkerState::Lost };
+        let state: Vec<MarkerState> = points_mm.iter().map(seen).collect();
+        let moved = MovedMarkers { points_mm, covariance_mm2, state: &state, patch: &patch };
+        let mut stick = Vec::new();
+        let slip = self.inner().run(&moved, &mut stick).map_err(raise)?;
+        let stick = arrays::list(py, stick.into_iter().map(|s| s as u8).collect());
+        Ok((stick, slip.map(Slip::from_core)))
+    }
+}
