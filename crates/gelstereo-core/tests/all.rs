@@ -55,6 +55,7 @@ mod register_scans;
 mod register_surface;
 mod rigid_fit;
 mod skin;
+mod slip;
 mod solid;
 mod stop;
 mod symmetric_copies;

@@ -49,8 +49,8 @@ impl Slip {
         self.inner.stick_ratio
     }
 
-    /// Range of the ratio of areas: unknown markers stick or slip, and up to half a pitch around the patch
-    /// may slip unseen.
+    /// Range of the ratio of areas: unknown markers stick or slip, and up to one pitch around the patch may
+    /// slip unseen.
     #[getter]
     const fn stick_range(&self) -> (f64, f64) {
         let [least, most] = self.inner.stick_range;

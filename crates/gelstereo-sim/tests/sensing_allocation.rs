@@ -7,7 +7,7 @@ use crate::counting;
 use counting::{ALLOCATIONS, HELD, PEAK};
 use gelstereo_core::image::GrayView;
 use gelstereo_core::math::{DVec3, Pose};
-use gelstereo_core::params::{ForceMethod, ForceParams, LabelMethod, Params, Saliency, Search};
+use gelstereo_core::params::{ForceMethod, ForceParams, LabelMethod, Params, Saliency, Search, SlipMethod};
 use gelstereo_core::pipeline::{Frame, LabelSource, Pipeline, Searched};
 use gelstereo_core::track::MarkerState;
 use gelstereo_sim::effects::{Effects, SensorNoise};
@@ -65,6 +65,7 @@ fn row_35_sensing_allocates_nothing_after_the_first_frames() {
                 (_, LabelMethod::Lattice) => {
                     let method = ForceMethod::Bounded;
                     params.force = ForceParams { method, ..with_known_gel() };
+                    params.slip.method = SlipMethod::Rigid;
                 }
             }
             let held_before = HELD.get();

@@ -7,6 +7,7 @@ use gelstereo_core::force::Wrench;
 use gelstereo_core::math::sqrt;
 use gelstereo_core::pipeline::Frame;
 use gelstereo_core::register::{Registration, TrackingStatus};
+use gelstereo_core::slip::{Slip, SlipStatus};
 use serde::{Deserialize, Serialize};
 
 /// All results of one stereo pair.
@@ -25,6 +26,9 @@ pub struct FrameLine {
     /// Force and torque of the part on the gel; absent without contact, or without `force.method`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub wrench: Option<WrenchLine>,
+    /// Slip of the part along the gel; absent without contact, or without `slip.method`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub slip: Option<SlipLine>,
     /// The part's pose; absent when it is not localized.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub pose: Option<PoseLine>,
@@ -69,6 +73,32 @@ impl From<&Wrench> for WrenchLine {
     }
 }
 
+/// Slip of the part along the gel.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SlipLine {
+    /// `unknown`, `stuck`, `incipient` or `gross`.
+    pub status: SlipStatus,
+    /// Markers that stick over those known to stick or slip; absent while none is known.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub stick_ratio: Option<f64>,
+    /// Range of the ratio of areas.
+    pub stick_range: [f64; 2],
+    /// Motion of the part since it touched the gel, sensor frame; absent if too few markers stick.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub motion: Option<[[f64; 4]; 4]>,
+}
+
+impl From<&Slip> for SlipLine {
+    fn from(slip: &Slip) -> Self {
+        Self {
+            status: slip.status,
+            stick_ratio: slip.stick_ratio,
+            stick_range: slip.stick_range,
+            motion: slip.motion.map(|motion| motion.pose.to_rows()),
+        }
+    }
+}
+
 /// Pose of the held part.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PoseLine {
@@ -107,6 +137,7 @@ impl FrameLine {
         self.index = Some(frame.index);
         self.digest = Some(format!("{:016x}", frame.digest()));
         self.wrench = frame.wrench.as_ref().map(WrenchLine::from);
+        self.slip = frame.slip.as_ref().map(SlipLine::from);
         self.points_mm = with_points.then(|| frame.points_mm.iter().map(|point| point.to_array()).collect());
     }
 }

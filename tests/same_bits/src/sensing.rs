@@ -8,7 +8,7 @@ use alloc::vec::Vec;
 use gelstereo_core::digest::Digest;
 use gelstereo_core::params::{
     Background, Centre, DiscBias, FindAt, ForceMethod, ForceParams, LabelMethod, Motion, Params, Polarity,
-    Saliency, Search, Threshold, TriangulateMethod,
+    Saliency, Search, SlipMethod, Threshold, TriangulateMethod,
 };
 use gelstereo_core::pipeline::Pipeline;
 use gelstereo_sim::{Gel, Scene};
@@ -101,6 +101,9 @@ pub fn rungs(out: &mut Digests) -> Outcome<()> {
                 ..Default::default()
             };
         })?;
+    }
+    for rung in every!(SlipMethod: None Rigid) {
+        add(format!("slip/{rung:?}"), &of_dark, &|params| params.slip.method = rung)?;
     }
     add("learn_decay".into(), &of_dark, &|params| {
         params.contact.saliency = Saliency::Pressure;

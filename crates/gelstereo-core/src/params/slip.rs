@@ -24,7 +24,7 @@ pub struct SlipParams {
     /// How slip is found. Default: `none`. Set `rigid` to find slip.
     pub method: SlipMethod,
     /// Rate of false alarms by the noise of the markers, while the part does not slip. Valid: 0.000001 to
-    /// 3600 per hour. Default: `1` per hour. A higher rate finds slip earlier.
+    /// 3600 per hour. Default: `1` per hour. Raise it to find slip earlier.
     pub false_alarms_per_hour: f64,
     /// Rate of the frames, from which the probability of a false alarm in one frame follows. Valid: 0.001 to
     /// 100000 Hz. Default: `30` Hz. Change it to the camera's.

@@ -59,8 +59,8 @@ pub struct Slip {
     pub status: SlipStatus,
     /// Markers that stick over those known to stick or slip; `None` while none is known.
     pub stick_ratio: Option<f64>,
-    /// Range of the ratio of areas: unknown markers stick or slip, and up to half a pitch around the patch
-    /// may slip unseen.
+    /// Range of the ratio of areas: unknown markers stick or slip, and up to one pitch around the patch may
+    /// slip unseen.
     pub stick_range: [f64; 2],
     /// Motion of the part since it touched the gel; `None` if too few markers stick to tell.
     pub motion: Option<RigidMotion>,

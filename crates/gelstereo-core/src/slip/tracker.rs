@@ -13,16 +13,21 @@ use alloc::vec::Vec;
 
 /// Fewest markers of a rigid motion.
 const MIN_MARKERS: usize = 3;
-/// Stick ratio below which the part is not held.
-const HELD: f64 = 0.1;
-/// Width of the rim of a patch in which markers may be in contact unseen, in pitches. Patches leave out
-/// markers that are hardly pressed: on simulated balls and pegs, the rim that is missing is up to 0.6 pitches
-/// wide, on plates none.
-const RIM: f64 = 0.5;
-/// A slipping marker sticks again after moving this many gates with the part.
-const AGAIN: f64 = 4.0;
+/// Lower end of the stick range below which the part is not held. Against the frame in which less than 0.1 of
+/// the true contact sticks, 37 simulated drags and twists with noise were reported, with 0.1, 0.15 and 0.2, up
+/// to 7, 1 and 0 frames late, and 4, 7 and 9 of 59 others were reported that kept more.
+const HELD: f64 = 0.2;
+/// Width of the rim of a patch in which markers may be in contact unseen, in pitches: patches leave out
+/// markers that are hardly pressed. With 0.5, 0.8 and 1, the range holds the true ratio in 86, 93 and 95 % of
+/// the frames of 144 simulated contacts with noise, and is 0.21, 0.28 and 0.32 wide.
+const RIM: f64 = 1.0;
+/// A slipping marker sticks again once its squared motion with the part is this many gates: at ten times the
+/// distance that can hide a slip. With 4, 25 and 100, the stick ratio of 144 simulated contacts, whose patch
+/// is known, has an rms error of 0.067, 0.055 and 0.053.
+const AGAIN: f64 = 100.0;
 const SECONDS_PER_HOUR: f64 = 3600.0;
-/// Instructions of a baseline x86-64 processor for one marker in contact and frame.
+/// Thousands of instructions of a baseline x86-64 processor for one marker in contact and frame: 5.6 counted
+/// by callgrind, for contacts of 37 markers.
 const PER_MARKER: u64 = 6;
 
 /// A marker since it touched the part, or since it slipped last.
@@ -210,7 +215,10 @@ impl SlipTracker {
         let [stuck, slips, unknown] = [Stick::Stuck, Stick::Slips, Stick::Unknown].map(count);
         let known = stuck + slips;
         let ratio = (known > 0).then(|| stuck as f64 / known as f64);
-        let is_lost = slips > 0 && (stuck < MIN_MARKERS || ratio.is_some_and(|ratio| ratio < HELD));
+        let border = (0..stick.len()).filter(|&i| moved.patch[i] && self.is_border(moved.patch, i)).count();
+        let all = (known + unknown) as f64;
+        let stick_range = [stuck as f64 / (all + RIM * border as f64), (stuck + unknown) as f64 / all];
+        let is_lost = slips > 0 && (stuck < MIN_MARKERS || stick_range[0] < HELD);
         self.is_gross |= is_lost;
         let status = match ratio {
             _ if self.is_gross => SlipStatus::Gross,
@@ -218,10 +226,6 @@ impl SlipTracker {
             Some(_) if slips > 0 => SlipStatus::Incipient,
             Some(_) => SlipStatus::Stuck,
         };
-        let border = (0..stick.len()).filter(|&i| moved.patch[i] && self.is_border(moved.patch, i)).count();
-        let all = (known + unknown) as f64;
-        let least = stuck as f64 / (all + RIM * border as f64);
-        let stick_range = [least, (stuck + unknown) as f64 / all];
         Slip { status, stick_ratio: ratio, stick_range, motion }
     }
 

@@ -1,0 +1,145 @@
+"""Slip beside an independent solution, and on parts that are dragged through simulated images."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+import gelstereo as gs
+from gelstereo import SlipStatus, Stick
+
+Array = npt.NDArray[np.float64]
+
+SIDE = 9
+SIGMA_MM = np.array([0.0015, 0.0015, 0.005])
+RIGID = gs.Params().replace(slip={"method": "rigid"})
+
+
+def lattice() -> Array:
+    x, y = np.meshgrid(*[0.9 * (np.arange(SIDE) - SIDE // 2)] * 2)
+    return np.column_stack([x.ravel(), y.ravel(), np.full(x.size, 30.0)])
+
+
+def independent(anchors: Array, points: Array) -> tuple[Array, Array]:
+    """Rotation vector and translation about the centroid, by SciPy's Cauchy loss of whole markers."""
+    middle, sigma = points.mean(axis=0), SIGMA_MM * np.sqrt(2.0)
+
+    def residuals(x: Array) -> Array:
+        moved = Rotation.from_rotvec(x[:3]).apply(anchors - middle) + middle + x[3:]
+        squared = np.sum(((points - moved) / sigma) ** 2, axis=1)
+        # Cauchy's loss of the squared distance, with half weight at 9; the prior of one frame's motion.
+        return np.concatenate([np.sqrt(9.0 * np.log1p(squared / 9.0)), x[:3] / 0.02, x[3:] / 0.3])
+
+    found = least_squares(residuals, np.zeros(6), xtol=1e-15, ftol=1e-15, gtol=1e-15).x
+    return found[:3], found[3:]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_motion_is_that_of_scipy(seed: int) -> None:
+    random, rest = np.random.default_rng(seed), lattice()
+    count = len(rest)
+    tracker = gs.SlipTracker(gs.RestSurface(rest), RIGID, cols=SIDE)
+    covariance = np.tile(np.diag(SIGMA_MM**2), (count, 1, 1))
+    patch = [bool(near) for near in np.hypot(*rest[:, :2].T) < 3.0]
+    touch = rest - [0.0, 0.0, 0.3] + SIGMA_MM * random.normal(size=(count, 3))
+    stick, slip = tracker.run(touch, covariance, patch)
+    assert slip is not None and slip.status == SlipStatus.UNKNOWN and slip.motion is None
+    assert {Stick(s).name for s in stick} == {"FREE", "UNKNOWN"}
+    turn, shift = random.normal(size=3) * 0.004, random.normal(size=3) * 0.03
+    middle = touch[patch].mean(axis=0)
+    moved = Rotation.from_rotvec(turn).apply(touch - middle) + middle + shift
+    moved += SIGMA_MM * random.normal(size=moved.shape)
+    lags = np.flatnonzero(patch)[:3]
+    moved[lags, 0] -= 0.05
+    stick, slip = tracker.run(moved, covariance, patch)
+    assert slip is not None and slip.status == SlipStatus.INCIPIENT
+    assert np.all(stick[lags] == Stick.SLIPS) and np.sum(stick == Stick.SLIPS) == 3
+    omega, v = independent(touch[patch], moved[patch])
+    about = slip.about_mm
+    assert about is not None and slip.motion is not None
+    expected = Rotation.from_rotvec(omega)
+    # Steps end below 1e-6; SciPy's rounding is smaller.
+    np.testing.assert_allclose(slip.motion[:3, :3], expected.as_matrix(), atol=3e-6)
+    np.testing.assert_allclose(
+        (slip.motion @ [*about, 1.0])[:3],
+        expected.apply(about - moved[patch].mean(axis=0)) + moved[patch].mean(axis=0) + v,
+        atol=3e-6,
+    )
+
+
+def dragged(scene: gs.Scene, steps: int, step_mm: float) -> list[tuple[gs.Frame, gs.SimulatedFrame]]:
+    """A part is pressed in three frames, and then dragged along x, through images."""
+    sensor = gs.Simulator(scene)
+    pipeline = gs.Pipeline(scene.rig, gs.Params.preset("balanced").replace(slip={"method": "rigid"}))
+    pose = np.eye(4)
+    pose[:3, 3] = 4.0, 0.0, 40.0
+    rest = sensor[0]
+    pipeline.process(rest.left, rest.right)
+    seen = []
+    for index in range(1, 4 + steps):
+        held = np.array(sensor.pressed(pose, 0.3 * min(index, 3)))
+        held[0, 3] += step_mm * max(index - 3, 0)
+        frame = sensor.advance(held, frame=index)
+        seen.append((pipeline.process(frame.left, frame.right), frame))
+    return seen
+
+
+def scene_of(friction: float) -> gs.Scene:
+    return gs.Scene().replace(
+        indenter={"kind": "sphere", "radius_mm": 6.0},
+        effects={"elastic_layer": {"friction": friction}, "sensor_noise": {}},
+    )
+
+
+def ratio(frame: gs.SimulatedFrame) -> float:
+    assert frame.loads is not None
+    stuck, slips = (int(np.sum(frame.loads.stick == value)) for value in (Stick.STUCK, Stick.SLIPS))
+    return stuck / (stuck + slips)
+
+
+def test_a_drag_is_stuck_then_incipient_then_gross() -> None:
+    seen = dragged(scene_of(0.25), 26, 0.02)
+    slips = [frame.slip for frame, _ in seen[1:]]
+    order = [slip.status for slip in slips if slip is not None]
+    assert len(order) == len(slips) and order == sorted(order), [SlipStatus(s).name for s in order]
+    assert {SlipStatus.STUCK, SlipStatus.INCIPIENT, SlipStatus.GROSS} <= set(order)
+    truth = [ratio(frame) for _, frame in seen[1:]]
+    first = order.index(SlipStatus.INCIPIENT)
+    assert truth[first] > 0.5, truth
+    assert truth[order.index(SlipStatus.GROSS)] < 0.3, truth
+    again = pickle.loads(pickle.dumps(seen[first][0]))
+    assert again.slip is not None and again.digest == seen[first][0].digest
+    assert repr(again.slip).startswith("<Slip: STUCK, stick ratio between")
+
+
+def test_a_part_that_sticks_is_followed_without_a_model() -> None:
+    seen = dragged(scene_of(20.0), 12, 0.02)
+    (first, _), (last, _) = seen[3], seen[-1]
+    assert first.slip is not None and last.slip is not None and last.slip.status == SlipStatus.STUCK
+    before, after = first.slip.motion, last.slip.motion
+    about, covariance = last.slip.about_mm, last.slip.motion_covariance
+    assert before is not None and after is not None and about is not None and covariance is not None
+    moved = (after @ np.linalg.inv(before) @ [*about, 1.0])[:3] - about
+    # Four standard deviations of two motions.
+    sigma_mm = np.sqrt(2.0 * np.diag(covariance)[3:])
+    assert np.all(np.abs(moved - [0.02 * 11, 0.0, 0.0]) < 4.0 * sigma_mm), (moved, sigma_mm)
+
+
+def test_settings_and_lists_are_checked() -> None:
+    rest = gs.RestSurface(lattice())
+    with pytest.raises(gs.ContactError, match="81 markers do not fill rows of 7"):
+        gs.SlipTracker(rest, RIGID, cols=7)
+    with pytest.raises(gs.ParamsError, match=r"slip\.frame_rate_hz"):
+        RIGID.replace(slip={"method": "rigid", "frame_rate_hz": 0.0})
+    tracker = gs.SlipTracker(rest, RIGID, cols=SIDE)
+    assert repr(tracker) == "<SlipTracker: 81 markers>"
+    with pytest.raises(gs.ContactError, match="a list has 80 entries"):
+        tracker.run(lattice()[1:], np.zeros((81, 3, 3)), [True] * 81)
+    stick, slip = tracker.run(lattice(), np.tile(np.diag(SIGMA_MM**2), (81, 1, 1)), [False] * 81)
+    assert slip is None and not stick.any()
+    assert gs._native.slip_statuses() == {status.name: status.value for status in SlipStatus}
