@@ -26,6 +26,7 @@ FLOORS = (
     ("triangulate",),
     ("contact",),
     ("force",),
+    ("slip",),
     ("register",),
     ("pipeline",),
 )

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import gelstereo as gs
 from gelstereo import SlipStatus, Stick
+from gelstereo_bench.reports.slip import follow, runs
 
 Array = npt.NDArray[np.float64]
 
@@ -128,6 +129,18 @@ def test_a_part_that_sticks_is_followed_without_a_model() -> None:
     # Four standard deviations of two motions.
     sigma_mm = np.sqrt(2.0 * np.diag(covariance)[3:])
     assert np.all(np.abs(moved - [0.02 * 11, 0.0, 0.0]) < 4.0 * sigma_mm), (moved, sigma_mm)
+
+
+def test_the_stick_ratio_is_the_simulators() -> None:
+    """Whose patch is known; docs/slip.md has more contacts. Bounds are twice what is there."""
+    random = np.random.default_rng(1)
+    seen = [s for run in runs(6, seed=30) for s in follow(run, random, patch_is_known=True)]
+    known = [s for s in seen if s.ratio is not None and s.status != SlipStatus.GROSS]
+    off = [s.truth - s.ratio for s in known if s.ratio is not None]
+    assert len(known) > 60 and np.sqrt(np.mean(np.square(off))) < 0.12
+    assert np.mean([s.between[0] <= s.truth <= s.between[1] for s in known]) > 0.9
+    moved = [s.motion_um for s in known if s.motion_um is not None and s.truth > 0.5]
+    assert np.median(moved) < 6.0
 
 
 def test_settings_and_lists_are_checked() -> None:

@@ -138,7 +138,8 @@ proptest! {
             contact.moves(&pose, nothing);
             let (stick, slip) = contact.run(&mut tracker);
             let slip = slip.unwrap();
-            prop_assert_eq!((slip.status, slip.stick_ratio, slip.stick_range[1]), (SlipStatus::Stuck, Some(1.0), 1.0));
+            prop_assert_eq!((slip.status, slip.stick_ratio), (SlipStatus::Stuck, Some(1.0)));
+            prop_assert_eq!(slip.stick_range[1], 1.0);
             prop_assert!(stick.iter().zip(&contact.patch).all(|(&s, &t)| (s == Stick::Stuck) == t));
             // Chance of a larger one: 1e-9 a frame.
             prop_assert!(squared_error(&slip, &pose) < 55.0, "{}", squared_error(&slip, &pose));

@@ -14,8 +14,8 @@ use alloc::vec::Vec;
 /// Fewest markers of a rigid motion.
 const MIN_MARKERS: usize = 3;
 /// Lower end of the stick range below which the part is not held. Against the frame in which less than 0.1 of
-/// the true contact sticks, 37 simulated drags and twists with noise were reported, with 0.1, 0.15 and 0.2, up
-/// to 7, 1 and 0 frames late, and 4, 7 and 9 of 59 others were reported that kept more.
+/// the true contact sticks, 37 simulated drags and twists with noise were reported up to 7, 1 and 0 frames
+/// late with 0.1, 0.15 and 0.2; 4, 7 and 9 of 59 others were reported, too.
 const HELD: f64 = 0.2;
 /// Width of the rim of a patch in which markers may be in contact unseen, in pitches: patches leave out
 /// markers that are hardly pressed. With 0.5, 0.8 and 1, the range holds the true ratio in 86, 93 and 95 % of

@@ -1,0 +1,238 @@
+"""Slip of simulated parts that are dragged, twisted, rolled and pressed, beside the true state of markers.
+
+Run ``python -m gelstereo_bench.reports.slip`` to fill the tables in docs/slip.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from gelstereo import (
+    Params,
+    RestSurface,
+    Scene,
+    Simulator,
+    SlipStatus,
+    SlipTracker,
+    Stick,
+    pressure_saliency,
+)
+from gelstereo.geometry import se3_exp
+from gelstereo_bench.reports.markdown import replace_between, table
+
+__all__ = ["KINDS", "MOTIONS", "Run", "Step", "follow", "main", "runs"]
+
+Array = npt.NDArray[np.float64]
+
+KINDS = ("ball", "peg", "plate")
+MOTIONS = ("drag", "twist", "roll", "press")
+#: Noise of a marker, mm.
+_SIGMA_MM = np.array([0.0015, 0.0015, 0.005])
+_SIDE, _PRESSING, _MOVING = 25, 5, 28
+#: Stick ratio of the true contact below which a slip is found late, and below which it is gross.
+_LATE, _GROSS = 0.7, 0.1
+
+
+@dataclass(frozen=True)
+class Step:
+    """One frame of a contact: true markers, their state, and the part's pose."""
+
+    points_mm: Array
+    stick: npt.NDArray[np.uint8]
+    t_sensor_object: Array | None
+
+
+@dataclass(frozen=True)
+class Run:
+    """One part that touches, is pressed in five frames, and moves on."""
+
+    kind: str
+    motion: str
+    steps: list[Step]
+
+
+@dataclass(frozen=True)
+class Seen:
+    """One frame as it was found. `truth` is the true stick ratio."""
+
+    truth: float
+    status: SlipStatus
+    ratio: float | None
+    between: tuple[float, float]
+    #: Error of the motion since the first frame with one, um; None without a motion.
+    motion_um: float | None
+
+
+def _about(centre: Array, turn: Array, shift: Array) -> Array:
+    """Motion by a rotation vector about a point, and a shift."""
+    there, back = np.eye(4), np.eye(4)
+    there[:3, 3], back[:3, 3] = centre, -centre
+    return np.asarray(there @ se3_exp(np.concatenate([turn, shift])) @ back)
+
+
+def _indenter(kind: str, random: np.random.Generator) -> tuple[dict[str, object], float]:
+    """Shape of a part, and the distance from its middle to its face."""
+    if kind == "ball":
+        radius = random.uniform(2.0, 8.0)
+        return {"kind": "sphere", "radius_mm": radius}, radius
+    if kind == "peg":
+        radius = random.uniform(2.0, 6.0)
+        return {"kind": "cylinder", "radius_mm": radius, "length_mm": 40.0}, radius
+    return {"kind": "box", "size_mm": [*random.uniform(4.0, 10.0, 2), 6.0]}, 3.0
+
+
+def _run(kind: str, motion: str, random: np.random.Generator) -> Run:
+    friction = random.uniform(0.2, 1.2) if motion in ("drag", "twist") else random.uniform(1.0, 2.0)
+    indenter, reach = _indenter(kind, random)
+    gel = {**Scene().to_dict()["gel"], "thickness_mm": random.uniform(3.0, 5.0)}
+    scene = Scene().replace(indenter=indenter, gel=gel, effects={"elastic_layer": {"friction": friction}})
+    simulator = Simulator(scene)
+    up, none = np.array([0.0, 0.0, 1.0]), np.zeros(3)
+    lying = _about(none, np.array([np.pi / 2, 0.0, 0.0]), none) if kind == "peg" else np.eye(4)
+    pose = _about(none, random.uniform(0.0, 2.0 * np.pi) * up, none) @ lying
+    pose[:3, 3] = [4.0 + random.uniform(-3.0, 3.0), random.uniform(-3.0, 3.0), 40.0]
+    depth = random.uniform(0.2, 0.5) if kind == "plate" else random.uniform(0.3, 0.9)
+    steps: list[Step] = []
+
+    def advance(to: Array | None) -> None:
+        frame = simulator.advance(to, frame=len(steps))
+        count = len(frame.points_mm)
+        stick = np.zeros(count, np.uint8) if frame.loads is None else frame.loads.stick
+        steps.append(Step(frame.points_mm, stick, to))
+
+    advance(None)
+    for share in np.linspace(0.2, 1.0, _PRESSING):
+        pose = np.asarray(simulator.pressed(pose, depth * share))
+        advance(pose)
+    angle, speed = random.uniform(0.0, 2.0 * np.pi), random.uniform(0.01, 0.04)
+    aside = np.array([np.cos(angle), np.sin(angle), 0.0])
+    spin = random.choice([-1.0, 1.0]) * random.uniform(0.01, 0.03)
+    for step in range(_MOVING):
+        centre = pose[:3, 3]
+        if motion == "drag":
+            move = _about(centre, random.uniform(-0.005, 0.005) * up, speed * aside)
+        elif motion == "twist":
+            move = _about(centre, spin * up, none)
+        elif motion == "roll":
+            axis = pose[:3, 2] if kind == "peg" else np.cross(up, aside)
+            move = _about(centre - reach * up, spin * axis, none)
+        else:
+            move = _about(centre, none, (-0.02 if step < _MOVING // 2 else 0.02) * up)
+        pose = move @ pose
+        advance(pose)
+    return Run(kind, motion, steps)
+
+
+def runs(count: int, seed: int) -> Iterator[Run]:
+    """Contacts of each kind in turn. Drags are twice as many as each other motion; plates do not roll."""
+    random = np.random.default_rng(seed)
+    motions = ("drag", *MOTIONS)
+    for k in range(count):
+        kind, motion = KINDS[k % 3], motions[(k // 3) % len(motions)]
+        yield _run(kind, "press" if (kind, motion) == ("plate", "roll") else motion, random)
+
+
+def follow(run: Run, random: np.random.Generator, *, patch_is_known: bool) -> list[Seen]:
+    """Find the slip of every frame with contact, from markers with noise."""
+    rest_mm = run.steps[0].points_mm
+    rest, count = RestSurface(rest_mm), len(rest_mm)
+    tracker = SlipTracker(rest, Params().replace(slip={"method": "rigid"}), cols=_SIDE)
+    covariance = np.tile(np.diag(_SIGMA_MM**2), (count, 1, 1))
+    variance, decay_mm = np.full(count, _SIGMA_MM[2] ** 2), Params().to_dict()["contact"]["decay_mm"]
+    seen, first = [], None
+    for step in run.steps:
+        points = step.points_mm + _SIGMA_MM * random.normal(size=rest_mm.shape)
+        patch = step.stick != Stick.FREE
+        if not patch_is_known:
+            heights = rest.indentation_mm(points)
+            patch, _ = pressure_saliency(rest, heights, variance, rows=_SIDE, cols=_SIDE, decay_mm=decay_mm)
+        _, slip = tracker.run(points, covariance, patch.tolist())
+        touching = int(np.sum(step.stick != Stick.FREE))
+        if slip is None or not touching or step.t_sensor_object is None:
+            continue
+        error_um = None
+        if slip.motion is not None and slip.about_mm is not None:
+            first = (slip.motion, step.t_sensor_object) if first is None else first
+            at = np.array([*slip.about_mm, 1.0])
+            found, true = (
+                slip.motion @ np.linalg.inv(first[0]),
+                step.t_sensor_object @ np.linalg.inv(first[1]),
+            )
+            error_um = 1e3 * float(np.linalg.norm((found @ at - true @ at)[:3]))
+        truth = int(np.sum(step.stick == Stick.STUCK)) / touching
+        seen.append(Seen(truth, SlipStatus(slip.status), slip.stick_ratio, slip.stick_range, error_um))
+    return seen
+
+
+def _ratios(name: str, seen: list[list[Seen]]) -> list[str]:
+    known = [s for run in seen for s in run if s.ratio is not None and s.status != SlipStatus.GROSS]
+    off = np.array([s.truth - s.ratio for s in known if s.ratio is not None])
+    within = np.mean([s.between[0] - 1e-9 <= s.truth <= s.between[1] + 1e-9 for s in known])
+    moved = [s.motion_um for s in known if s.motion_um is not None and s.truth > 0.5]
+    return [
+        name,
+        str(len(seen)),
+        f"{np.sqrt(np.mean(off**2)):.3f}",
+        f"{np.mean(off):+.3f}",
+        f"{100 * within:.0f}",
+        f"{np.median(moved):.1f}",
+    ]
+
+
+def _first(seen: list[Seen], when: SlipStatus) -> int | None:
+    return next((k for k, s in enumerate(seen) if s.status >= when), None)
+
+
+def _alarms(name: str, seen: list[list[Seen]]) -> list[str]:
+    """When slip was found: while how much still stuck; and gross slip."""
+    slipping = [run for run in seen if any(s.truth < _LATE for s in run)]
+    found = [_first(run, SlipStatus.INCIPIENT) for run in slipping]
+    in_time = sum(k is not None and run[k].truth >= _LATE for k, run in zip(found, slipping, strict=True))
+    steady = [run for run in seen if all(s.truth >= 0.999 for s in run)]
+    false = sum(_first(run, SlipStatus.INCIPIENT) is not None for run in steady)
+    gross = [run for run in seen if any(s.truth < _GROSS for s in run)]
+    late = 0
+    for run in gross:
+        k, true = _first(run, SlipStatus.GROSS), next(k for k, s in enumerate(run) if s.truth < _GROSS)
+        late += k is None or k > true + 1
+    held = [run for run in seen if all(s.truth >= _GROSS for s in run)]
+    early = sum(_first(run, SlipStatus.GROSS) is not None for run in held)
+    return [
+        name,
+        f"{in_time} of {len(slipping)}",
+        f"{false} of {len(steady)}",
+        f"{len(gross) - late} of {len(gross)}",
+        f"{early} of {len(held)}",
+    ]
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Fill the tables in docs/slip.md."""
+    parser = argparse.ArgumentParser(prog="python -m gelstereo_bench.reports.slip", description=__doc__)
+    parser.add_argument("--docs", type=Path, default=Path("docs"), help="folder of the manual")
+    parser.add_argument("--contacts", type=int, default=180, help="number of contacts")
+    options = parser.parse_args(arguments)
+    ratios, alarms = [], []
+    made = list(runs(options.contacts, seed=30))
+    for name, patch_is_known in (("known patch", True), ("patch from heights", False)):
+        random = np.random.default_rng(31)
+        seen = [follow(run, random, patch_is_known=patch_is_known) for run in made]
+        for kind in KINDS:
+            of_kind = [s for s, run in zip(seen, made, strict=True) if run.kind == kind]
+            ratios.append(_ratios(f"{kind}, {name}", of_kind))
+        alarms.append(_alarms(name, seen))
+    head = ["contacts", "count", "rms error of the stick ratio", "mean", "true ratio in the range, %"]
+    replace_between(options.docs / "slip.md", "ratios", table([*head, "motion, median error, um"], ratios))
+    head = ["patch", "slip found while 0.7 stick", "false alarms", "gross slip at most one frame late"]
+    replace_between(options.docs / "slip.md", "alarms", table([*head, "gross slip without one"], alarms))
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
