@@ -43,7 +43,14 @@ print(json.dumps(said))
 """
 
 
-@pytest.mark.parametrize("library", REQUIREMENTS)
+#: Each takes a process of three seconds; the others run with the long tests.
+QUICK = ("cv2", "mcap", "scipy", "matplotlib", "gelstereo_bench")
+LIBRARIES = [
+    library if library in QUICK else pytest.param(library, marks=pytest.mark.long) for library in REQUIREMENTS
+]
+
+
+@pytest.mark.parametrize("library", LIBRARIES)
 def test_row_39_what_is_not_installed_is_named_with_its_extra(library: str) -> None:
     child = subprocess.run(
         [sys.executable, "-c", CHILD, library], capture_output=True, text=True, check=True, timeout=300.0
