@@ -253,6 +253,12 @@ fn markers_that_are_not_seen_are_unknown() {
     assert_eq!([stick[middle], stick[middle + 1]], [Stick::Unknown; 2]);
     let slip = slip.unwrap();
     assert!(slip.status == SlipStatus::Stuck && slip.stick_range[1] == 1.0 && slip.motion.is_some());
+    // A marker whose noise is not known is not judged.
+    contact.covariance_mm2[middle + 2] = [[0.0; 3]; 3];
+    tracker.restart();
+    for _ in 0..2 {
+        assert_eq!(contact.run(&mut tracker).0[middle + 2], Stick::Unknown);
+    }
     // Two markers do not determine a motion.
     contact.patch.fill(false);
     contact.patch[..2].fill(true);

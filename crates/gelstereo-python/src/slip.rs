@@ -57,8 +57,8 @@ impl Slip {
         (least, most)
     }
 
-    /// (4, 4) motion of the part since it touched the gel, in the sensor frame; `None` if fewer than three
-    /// markers stick.
+    /// (4, 4) motion of the part since it touched the gel, or since three markers stick again, in the sensor
+    /// frame; `None` if fewer do.
     #[getter]
     fn motion(&self, py: Python<'_>) -> PyResult<Option<Matrix>> {
         self.inner.motion.map(|motion| arrays::matrix(py, motion.pose.to_rows())).transpose()

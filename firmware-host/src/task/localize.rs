@@ -12,8 +12,8 @@ use gelstereo_core::math::linalg::Symmetric;
 use gelstereo_core::math::{Pose, sqrt};
 use gelstereo_core::register::{PoseEstimate, Registration};
 
-/// Largest number of frames that are registered. In 2 of 1000 simulated contacts registration did not
-/// converge; from the next frame, whose noise is another, it nearly always does.
+/// Largest number of frames that are registered. Of 1887 simulated contacts 8 did not converge. Two of 100
+/// simulated tasks failed so, with shorter steps than now; both converged from the next frame.
 const MAX_FRAMES: u32 = 3;
 
 /// The part in the hand.

@@ -19,7 +19,7 @@ const SETTLED: f64 = 1e-6;
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct RigidMotion {
-    /// Moves points of the part from where they were at touch to where they are, sensor frame.
+    /// Moves points of the part from where they were when tracking began to where they are, sensor frame.
     pub pose: Pose,
     /// Centroid of the markers that stick, sensor frame, millimetres.
     pub about_mm: DVec3,

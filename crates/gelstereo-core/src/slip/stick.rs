@@ -14,7 +14,8 @@ pub enum Stick {
     Stuck = 1,
     /// It slips along the part.
     Slips = 2,
-    /// In contact, but not known: it has just touched, it is not seen, or too few markers stick.
+    /// In contact, but not known: it has just touched, it is not seen, its covariance is not positive
+    /// definite, or too few markers stick.
     Unknown = 3,
 }
 
@@ -62,6 +63,6 @@ pub struct Slip {
     /// Range of the ratio of areas: unknown markers stick or slip, and up to one pitch around the patch may
     /// slip unseen.
     pub stick_range: [f64; 2],
-    /// Motion of the part since it touched the gel; `None` if too few markers stick to tell.
+    /// Motion of the part since it touched the gel, or since three markers stick again; `None` if fewer do.
     pub motion: Option<RigidMotion>,
 }

@@ -14,7 +14,7 @@ use alloc::vec::Vec;
 /// Fewest markers of a rigid motion.
 const MIN_MARKERS: usize = 3;
 /// Lower end of the stick range below which the part is not held. Against the frame in which less than 0.1 of
-/// the true contact sticks, 37 simulated drags and twists with noise were reported up to 7, 1 and 0 frames
+/// the true contact sticks, 37 simulated drags and twists with noise were reported at least 7, 1 and 0 frames
 /// late with 0.1, 0.15 and 0.2; 4, 7 and 9 of 59 others were reported, too.
 const HELD: f64 = 0.2;
 /// Width of the rim of a patch in which markers may be in contact unseen, in pitches: patches leave out
@@ -122,8 +122,10 @@ impl SlipTracker {
         if motion.is_none() {
             // Without a motion of the part, all markers begin anew together.
             self.anchors.fill(Anchor::default());
+            self.pose = Pose::IDENTITY;
         }
-        out.extend((0..rest).map(|i| self.judge(moved, i, motion.as_ref())));
+        let gate = self.gate();
+        out.extend((0..rest).map(|i| self.judge(moved, i, motion.as_ref(), gate)));
         Ok(Some(self.summary(moved, out, motion)))
     }
 
@@ -150,7 +152,13 @@ impl SlipTracker {
     }
 
     /// Whether a marker sticks. A marker that slips, or touches, is anchored where it is.
-    fn judge(&mut self, moved: &MovedMarkers<'_>, i: usize, motion: Option<&RigidMotion>) -> Stick {
+    fn judge(
+        &mut self,
+        moved: &MovedMarkers<'_>,
+        i: usize,
+        motion: Option<&RigidMotion>,
+        gate: f64,
+    ) -> Stick {
         if !moved.patch[i] {
             return Stick::Free;
         }
@@ -158,7 +166,7 @@ impl SlipTracker {
             return Stick::Unknown;
         }
         let (point_mm, covariance) = (moved.points_mm[i], &moved.covariance_mm2[i]);
-        let (mut anchor, gate) = (self.anchors[i], self.gate());
+        let mut anchor = self.anchors[i];
         if !anchor.is_set {
             self.anchors[i] = self.anchored(point_mm, covariance, false);
             return Stick::Unknown;
@@ -171,11 +179,13 @@ impl SlipTracker {
             // The others were used by the fit, which makes their residuals smaller.
             noise = sum(&noise, &of_motion(motion, at_mm));
         }
-        if self.squared(point_mm - at_mm, &noise) > gate {
+        let Some(squared) = self.squared(point_mm - at_mm, &noise) else { return Stick::Unknown };
+        if squared > gate {
             self.anchors[i] = self.anchored(point_mm, covariance, true);
             return Stick::Slips;
         }
-        if anchor.slips && self.squared(point_mm - anchor.sensor_mm, &noise) > AGAIN * gate {
+        let moved_squared = self.squared(point_mm - anchor.sensor_mm, &noise);
+        if anchor.slips && moved_squared.is_some_and(|squared| squared > AGAIN * gate) {
             anchor.slips = false;
             self.anchors[i] = anchor;
         }
@@ -194,13 +204,13 @@ impl SlipTracker {
     }
 
     /// Squared distance along the gel over its variance. The noise of markers that stick exceeds it with the
-    /// probability exp(-d²/2) (two degrees of freedom).
-    fn squared(&self, off_mm: DVec3, noise: &Symmetric<3>) -> f64 {
+    /// probability exp(-d²/2) (two degrees of freedom). `None` unless the covariance is positive definite.
+    fn squared(&self, off_mm: DVec3, noise: &Symmetric<3>) -> Option<f64> {
         let [x, y] = self.along;
         let [xx, xy, yy] = [(x, x), (x, y), (y, y)].map(|(a, b)| form(noise, a, b));
         let (u, v) = (off_mm.dot(x), off_mm.dot(y));
         let determinant = xx * yy - xy * xy;
-        if determinant > 0.0 { (yy * u * u - 2.0 * xy * u * v + xx * v * v) / determinant } else { 0.0 }
+        (xx > 0.0 && determinant > 0.0).then(|| (yy * u * u - 2.0 * xy * u * v + xx * v * v) / determinant)
     }
 
     /// Squared distance that one of all markers in contact exceeds by noise at the rate of false alarms.
