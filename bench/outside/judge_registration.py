@@ -61,6 +61,7 @@ class Judged:
     """A contact, with and without noise."""
 
     law: str
+    #: Of the guesses.
     seed: int
     grasp: Grasp
     true_points_mm: Array
@@ -83,8 +84,8 @@ class Judged:
         return np.asarray(about @ motion @ np.linalg.inv(about) @ self.grasp.guess(STARTS[1], self.seed))
 
 
-def contacts(half: str) -> Iterator[Judged]:
-    """All contacts of a half, with noise."""
+def contacts(half: str, draw: int = 0) -> Iterator[Judged]:
+    """All contacts of a half, with a draw of noise and guesses."""
     templates = {
         press.name: Template.from_mesh(press.make(), units="mm", spacing_mm=0.3).with_grid()
         for press in GRASPED
@@ -98,7 +99,7 @@ def contacts(half: str) -> Iterator[Judged]:
             stored = {key: file[key] for key in ("poses", "points_mm", "touching")}
         mesh, template = press.make(), templates[press.name]
         for k, seed in enumerate(seeds):
-            random = np.random.default_rng([seed, 83, len(name)])
+            random = np.random.default_rng([seed, 83, len(name), *([draw] if draw else [])])
             true, pose = stored["points_mm"][k].astype(np.float64), stored["poses"][k]
             touching = np.unpackbits(stored["touching"][k], count=len(true)).astype(bool)
             points = true + SIGMA_MM * random.normal(size=true.shape)
@@ -112,7 +113,7 @@ def contacts(half: str) -> Iterator[Judged]:
             normals[~(normals[:, 2] < -STEEP_COSINE)] = np.nan
             covariance = np.broadcast_to(np.diag(SIGMA_MM**2), (int(salient.sum()), 3, 3)).copy()
             grasp = Grasp(press.name, mesh, template, points[salient], covariance, points, normals, pose)
-            yield Judged(entry["law"], seed, grasp, true, touching)
+            yield Judged(entry["law"], seed + 1000 * draw, grasp, true, touching)
 
 
 @dataclass
@@ -221,17 +222,22 @@ def main() -> int:
     parser.add_argument("--half", choices=("w", "j"), default="w", help="w: for work, j: judged")
     parser.add_argument("--without-gel", action="store_true", help="register without the gel's model")
     parser.add_argument("--by-part", action="store_true", help="a row for each part under each law")
+    parser.add_argument("--draw", type=int, default=0, help="other noise and guesses for each number")
+    parser.add_argument(
+        "--half-turns", type=int, default=0, help="`register.surface_search.half_turn_budget`"
+    )
     parser.add_argument("--budget", type=int, help="`register.surface_search.budget`")
     options = parser.parse_args()
     params = Params().replace(
         {"register": {"method": "surface_search", "advanced": {"search_radius_mm": 8.0}}}
     )
+    params = params.replace({"register.surface_search.half_turn_budget": options.half_turns})
     if options.budget:
         params = params.replace({"register.surface_search.budget": options.budget})
     if options.without_gel:
         # A gel that returns to rest within a pitch is not evaluated.
         params = params.replace({"contact.decay_mm": 0.5})
-    every = list(contacts(options.half))
+    every = list(contacts(options.half, options.draw))
     by_part = {one.grasp.part: one.grasp for one in every}
     names = list(by_part)
     figures: dict[str, Figures] = defaultdict(Figures)

@@ -342,7 +342,8 @@ impl Localization {
 ///     to the work that fits, and the best pose found by then is returned. The first pose of "surface_search"
 ///     takes some 25000 units whatever the budget, so shorter deadlines are exceeded. The time that a unit
 ///     of work takes is learned from the calls with deadlines of this thread, so the first one is not
-///     limited. For the same bits again, set the budget to ``Localization.budget``. Default: none.
+///     limited. For the same bits again, set the budget to ``Localization.budget``. Half turns
+///     (``half_turn_budget``) are searched only if their whole work fits, too. Default: none.
 ///
 /// Returns
 /// -------
@@ -396,6 +397,9 @@ pub fn localize(
     Ok(Localization { found, model, tracking: None, misfit: None, budget })
 }
 
+/// Searches that share `half_turn_budget`.
+const HALF_TURNS: u32 = 3;
+
 /// Lowers the budget to the work that fits; not before this thread's pace is known.
 fn limit_budget(register: &mut RegisterParams, deadline_ms: f64) -> PyResult<()> {
     if !matches!(register.method, RegisterMethod::SurfaceClose | RegisterMethod::SurfaceSearch) {
@@ -403,8 +407,13 @@ fn limit_budget(register: &mut RegisterParams, deadline_ms: f64) -> PyResult<()>
         return Err(PyValueError::new_err(why));
     }
     if let Some(limit) = PACE.with_borrow(|pace| pace.limit((1e6 * deadline_ms) as u64)) {
-        let budget = &mut register.surface_search.budget;
-        *budget = u32::try_from(limit).unwrap_or(u32::MAX).clamp(1, *budget);
+        let limit = u32::try_from(limit).unwrap_or(u32::MAX);
+        let search = &mut register.surface_search;
+        // The half turns need their whole work, or say nothing.
+        if limit < search.budget.saturating_add(HALF_TURNS.saturating_mul(search.half_turn_budget)) {
+            search.half_turn_budget = 0;
+        }
+        search.budget = limit.clamp(1, search.budget);
     }
     Ok(())
 }

@@ -10,6 +10,7 @@ mod copies;
 mod error;
 mod free;
 mod fusion;
+mod half_turns;
 mod held;
 mod limits;
 mod localizer;

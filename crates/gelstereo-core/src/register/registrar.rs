@@ -4,7 +4,7 @@ use super::error::{MIN_PATCH, RegisterError};
 use super::registration::Registration;
 use super::surface::{self, Contact, Misfit, Rung};
 use super::template::Template;
-use super::{copies, limits, paper};
+use super::{copies, half_turns, limits, paper};
 use crate::math::{DVec3, Pose};
 use crate::params::{RegisterMethod, RegisterParams};
 use crate::stop::{NEVER, Stop};
@@ -108,7 +108,11 @@ impl Registrar {
             }
             Some(rung) => {
                 let input = surface::Input { params, contact, template, guess: &guess, stop };
-                (surface::run(&input, rung, surface)?, params.point_sigma_mm)
+                let mut found = surface::run(&input, rung, surface)?;
+                if rung == Rung::Search {
+                    half_turns::check(&input, &mut found, surface)?;
+                }
+                (found, params.point_sigma_mm)
             }
         };
         copies::honour(&mut found, template.symmetries(), &guess, resolution_mm);
