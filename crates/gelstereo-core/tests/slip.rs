@@ -278,3 +278,33 @@ fn what_cannot_be_used_is_refused() {
     let short = MovedMarkers { points_mm, covariance_mm2, state, patch: &[true] };
     assert_eq!(tracker(1.0).run(&short, &mut Vec::new()), Err(SlipError::Lengths { rest: 121, found: 1 }));
 }
+
+/// After a frame in which fewer than three markers stick, anchors from before it would give a motion since
+/// the first touch, and markers of two origins.
+#[test]
+fn motion_begins_anew_after_a_gap() {
+    for left in [0, 2] {
+        let (mut tracker, mut contact) = (tracker(1.0), Contact::new(3.0, 5));
+        let pose = |x_mm: f64| about_contact([0.0, 0.0, x_mm / 20.0], [x_mm, 0.0, 0.0]);
+        for x_mm in [0.0, 0.05, 0.1] {
+            contact.moves(&pose(x_mm), nothing);
+            contact.run(&mut tracker);
+        }
+        let touched: Vec<usize> = (0..SIDE * SIDE).filter(|&i| contact.patch[i]).collect();
+        touched[left..].iter().for_each(|&i| contact.state[i] = MarkerState::Held);
+        contact.moves(&pose(0.15), nothing);
+        let gap = contact.run(&mut tracker).1.unwrap();
+        assert_eq!((gap.status, gap.motion), (SlipStatus::Unknown, None));
+        contact.state.fill(MarkerState::Seen);
+        contact.moves(&pose(0.2), nothing);
+        assert_eq!(contact.run(&mut tracker).1.unwrap().motion, None);
+        contact.moves(&pose(0.25), nothing);
+        let (stick, slip) = contact.run(&mut tracker);
+        let slip = slip.unwrap();
+        assert_eq!(slip.status, SlipStatus::Stuck, "{left} markers left");
+        assert!(stick.iter().zip(&contact.patch).all(|(&s, &t)| (s == Stick::Stuck) == t));
+        // All are anchored in the first frame after the gap.
+        let since = pose(0.25) * pose(0.2).inverse();
+        assert!(squared_error(&slip, &since) < 55.0, "{left} left: {}", squared_error(&slip, &since));
+    }
+}
