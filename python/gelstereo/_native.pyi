@@ -7,6 +7,8 @@ import numpy as np
 import numpy.typing as npt
 import trimesh
 
+from gelstereo.randomization import Distribution
+
 _Bytes: TypeAlias = npt.NDArray[np.uint8]
 _Floats: TypeAlias = npt.NDArray[np.float64]
 _Path: TypeAlias = str | PathLike[str]
@@ -51,6 +53,7 @@ __all__ = [
     "Plan",
     "PlannedEffect",
     "PoseError",
+    "RandomStream",
     "Rectification",
     "RegisterError",
     "RestLattice",
@@ -970,6 +973,10 @@ class Plan:
 @final
 class Simulator:
     def __new__(cls, scene: Scene) -> Simulator: ...
+    def replace(self, changes: Mapping[str, Any] | None = None, /, **settings: Any) -> Simulator: ...
+    def randomize(
+        self, distribution: Distribution | Mapping[str, Any] | _Path, seed: int
+    ) -> Simulator: ...
     @property
     def scene(self) -> Scene: ...
     @property
@@ -990,6 +997,14 @@ class Simulator:
     def pressed_with(self, t_sensor_object: npt.ArrayLike, force_n: float) -> _Floats: ...
     def render_points(self, points_mm: npt.ArrayLike, *, frame: int = 0) -> SimulatedFrame: ...
     def __reduce__(self) -> tuple[Any, tuple[Scene]]: ...
+
+@final
+class RandomStream:
+    def __new__(cls, seed: int, name: str) -> RandomStream: ...
+    def uniform(self) -> float: ...
+    def log_uniform(self, low: float, high: float) -> float: ...
+    def normal(self) -> float: ...
+    def below(self, count: int) -> int: ...
 
 def shape_mesh(
     shape: Mapping[str, Any], tolerance_mm: float = 0.01

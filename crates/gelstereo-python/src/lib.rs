@@ -28,6 +28,7 @@ mod params;
 mod pickle;
 mod pipeline;
 mod pitch_check;
+mod random;
 mod register;
 mod rest_record;
 mod rig;
@@ -88,6 +89,8 @@ mod _native {
     use crate::pipeline::{Pipeline, marker_states};
     #[pymodule_export]
     use crate::pitch_check::PitchCheck;
+    #[pymodule_export]
+    use crate::random::RandomStream;
     #[pymodule_export]
     use crate::register::{FreeDirection, Localization, localize};
     #[pymodule_export]

@@ -31,6 +31,7 @@ mod plan_bounds;
 mod print;
 mod relaxation;
 mod render;
+mod replaced;
 mod rest_border;
 mod rest_record;
 mod saliency;

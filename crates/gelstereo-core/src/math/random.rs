@@ -1,6 +1,6 @@
 //! Random streams keyed by (seed, name): a stream's numbers are independent of other streams.
 
-use super::{cos, ln, sin, sqrt};
+use super::{cos, exp, ln, sin, sqrt};
 use crate::digest::Digest;
 
 /// xoshiro256++ (Blackman and Vigna 2021), seeded through SplitMix64 from a seed and a name.
@@ -34,6 +34,12 @@ impl Stream {
     /// Uniform in [0, 1), 53 bits.
     pub fn uniform(&mut self) -> f64 {
         (self.next_u64() >> 11) as f64 / (1_u64 << 53) as f64
+    }
+
+    /// A number from `low` to `high`, both above 0, whose logarithm is uniform.
+    pub fn log_uniform(&mut self, low: f64, high: f64) -> f64 {
+        let (from, to) = (ln(low), ln(high));
+        exp(from + (to - from) * self.uniform()).clamp(low, high)
     }
 
     /// Uniform index below `n`, by Lemire's multiplication; the bias is below n / 2^64. `n` must not be 0.

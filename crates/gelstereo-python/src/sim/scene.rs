@@ -96,7 +96,7 @@ impl Scene {
     /// SceneError
     ///     If a name is unknown (the valid ones are listed) or a value is not valid.
     #[pyo3(signature = (changes=None, /, **settings))]
-    fn replace(
+    pub(super) fn replace(
         &self,
         changes: Option<&Bound<'_, PyMapping>>,
         settings: Option<&Bound<'_, PyDict>>,

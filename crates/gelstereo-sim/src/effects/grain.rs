@@ -3,6 +3,7 @@
 use super::{Blur, Defocus};
 use crate::plan::{Bound, Effect, Facts};
 use crate::scene::{Gel, SceneError};
+use alloc::sync::Arc;
 use alloc::vec::Vec;
 use gelstereo_core::camera::Camera;
 use gelstereo_core::digest::Digest;
@@ -58,11 +59,28 @@ impl Grain {
 }
 
 /// The grain of one view.
-#[derive(Clone, Debug)]
-pub(crate) struct Texture(Vec<f32>);
+#[derive(Debug)]
+pub(crate) struct Texture {
+    settings: Grain,
+    seed: u64,
+    size: [usize; 2],
+    levels: Vec<f32>,
+}
 
 impl Texture {
-    pub(crate) fn new(grain: &Grain, seed: u64, view: &str, camera: &Camera) -> Self {
+    /// That of `before`, which is of the same view, if it has the same settings.
+    pub(crate) fn shared(
+        grain: &Grain,
+        seed: u64,
+        (view, camera): (&str, &Camera),
+        before: Option<&Arc<Self>>,
+    ) -> Arc<Self> {
+        let size = [camera.width_px, camera.height_px];
+        let same = |before: &&Arc<Self>| (&before.settings, before.seed, before.size) == (grain, seed, size);
+        before.filter(same).cloned().unwrap_or_else(|| Arc::new(Self::new(grain, seed, view, camera)))
+    }
+
+    fn new(grain: &Grain, seed: u64, view: &str, camera: &Camera) -> Self {
         let mut stream = Stream::new(Digest::new().u64(seed).bytes(view.as_bytes()).value(), "grain");
         let (w, h) = (camera.width_px, camera.height_px);
         let mut levels: Vec<f32> = (0..w * h).map(|_| stream.normal() as f32).collect();
@@ -71,11 +89,11 @@ impl Texture {
         blur.apply(&mut levels, w);
         let gain = grain.sigma_levels as f32 / blur.remaining_sigma();
         levels.iter_mut().for_each(|v| *v *= gain);
-        Self(levels)
+        Self { settings: grain.clone(), seed, size: [w, h], levels }
     }
 
     /// Adds the grain to the view's levels.
     pub(crate) fn apply(&self, levels: &mut [f32]) {
-        levels.iter_mut().zip(&self.0).for_each(|(level, grain)| *level += grain);
+        levels.iter_mut().zip(&self.levels).for_each(|(level, grain)| *level += grain);
     }
 }

@@ -3,6 +3,7 @@
 use crate::plan::{Bound, Effect, Facts};
 use crate::scene::{Gel, SceneError};
 use alloc::boxed::Box;
+use alloc::sync::Arc;
 use alloc::vec::Vec;
 use gelstereo_core::digest::Digest;
 use gelstereo_core::math::{erf, exp, random::Stream, sqrt};
@@ -40,8 +41,7 @@ impl Effect for SensorNoise {
 
     fn bound(&self, facts: &Facts<'_>) -> Bound {
         let _ = facts;
-        let largest = quantiles_of(self.sigma_levels * HALF_SIGMA)[QUANTILES - 1];
-        Bound::of_levels(2.0 * f64::from(largest))
+        Bound::of_levels(2.0 * f64::from(quantile_of(QUANTILES - 1, self.sigma_levels * HALF_SIGMA)))
     }
 
     fn cost_ns(&self, facts: &Facts<'_>) -> f64 {
@@ -62,24 +62,35 @@ const HALF_SIGMA: f64 = core::f64::consts::FRAC_1_SQRT_2;
 #[derive(Clone, Debug)]
 pub(crate) struct Noise {
     seed: u64,
+    /// The quantiles of unit variance in that order, the same for every scene.
+    order: Arc<[f32]>,
     round: Box<[f32; QUANTILES + RUN]>,
 }
 
+/// Mean square of the standard normal quantiles at the middles of 4096 intervals of equal probability.
+const VARIANCE: f64 = 0.999_679_447_677_845_7;
+
 /// Quantiles of the normal distribution, scaled to this standard deviation.
 pub(super) fn quantiles_of(sigma: f64) -> Box<[f32; QUANTILES]> {
-    let quantiles: Vec<f64> =
-        (0..QUANTILES).map(|i| normal_quantile((i as f64 + 0.5) / QUANTILES as f64)).collect();
-    let variance = quantiles.iter().map(|q| q * q).sum::<f64>() / QUANTILES as f64;
-    let scale = sigma / sqrt(variance);
-    Box::new(core::array::from_fn(|i| (quantiles[i] * scale) as f32))
+    Box::new(core::array::from_fn(|i| quantile_of(i, sigma)))
+}
+
+/// One of [`quantiles_of`].
+pub(super) fn quantile_of(index: usize, sigma: f64) -> f32 {
+    (standard_quantile(index) * (sigma / sqrt(VARIANCE))) as f32
+}
+
+fn standard_quantile(index: usize) -> f64 {
+    normal_quantile((index as f64 + 0.5) / QUANTILES as f64)
 }
 
 impl Noise {
-    pub(crate) fn new(noise: &SensorNoise, seed: u64) -> Self {
-        let order = uncorrelated(&quantiles_of(1.0));
+    /// Takes the order, which is laborious to find, from `before`.
+    pub(crate) fn new(noise: &SensorNoise, seed: u64, before: Option<&Self>) -> Self {
+        let order = before.map_or_else(|| uncorrelated(&quantiles_of(1.0)).into(), |b| b.order.clone());
         let scale = noise.sigma_levels * HALF_SIGMA;
         let value = |k: usize| (f64::from(order[k % QUANTILES]) * scale) as f32;
-        Self { seed, round: Box::new(core::array::from_fn(value)) }
+        Self { seed, round: Box::new(core::array::from_fn(value)), order }
     }
 
     /// Random stream of one view (by name) of one frame.
@@ -169,6 +180,12 @@ fn normal_quantile(probability: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_quantiles_have_the_variance_that_is_stated() {
+        let sum: f64 = (0..QUANTILES).map(standard_quantile).map(|q| q * q).sum();
+        assert_eq!(sum / QUANTILES as f64, VARIANCE);
+    }
 
     /// A shuffle alone leaves 1 / sqrt(4096), 0.016. A thousandth is invisible in a million pixels.
     #[test]

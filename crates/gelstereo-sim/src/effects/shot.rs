@@ -1,9 +1,10 @@
 //! Photon shot noise.
 
-use super::noise::{QUANTILES, quantiles_of};
+use super::noise::{QUANTILES, quantile_of, quantiles_of};
 use crate::plan::{Bound, Effect, Facts};
 use crate::scene::{Gel, SceneError};
 use alloc::boxed::Box;
+use alloc::sync::Arc;
 use gelstereo_core::digest::Digest;
 use gelstereo_core::math::{random::Stream, sqrt};
 
@@ -36,7 +37,7 @@ impl ShotNoise {
 
     /// Largest noise at a level: that of the outermost of 4096 quantiles.
     pub(crate) fn most_levels(&self, level: f64) -> f64 {
-        f64::from(quantiles_of(1.0)[QUANTILES - 1]) * self.sigma_levels(level)
+        f64::from(quantile_of(QUANTILES - 1, 1.0)) * self.sigma_levels(level)
     }
 }
 
@@ -64,16 +65,17 @@ impl Effect for ShotNoise {
 pub(crate) struct Shots {
     seed: u64,
     /// Of unit variance.
-    quantiles: Box<[f32; QUANTILES]>,
+    quantiles: Arc<[f32; QUANTILES]>,
     /// By level.
     sigma_levels: Box<[f32; 256]>,
 }
 
 impl Shots {
-    pub(crate) fn new(noise: &ShotNoise, seed: u64) -> Self {
+    /// Takes the quantiles, which are the same for every scene, from `before`.
+    pub(crate) fn new(noise: &ShotNoise, seed: u64, before: Option<&Self>) -> Self {
         Self {
             seed,
-            quantiles: quantiles_of(1.0),
+            quantiles: before.map_or_else(|| quantiles_of(1.0).into(), |before| before.quantiles.clone()),
             sigma_levels: Box::new(core::array::from_fn(|level| noise.sigma_levels(level as f64) as f32)),
         }
     }

@@ -22,6 +22,7 @@ pub(crate) use memory::Memory;
 pub use memory::PronyTerm;
 pub(crate) use nodes::{Motion, Nodes, Places};
 
+use alloc::sync::Arc;
 use alloc::vec::Vec;
 use contact::Pressing;
 use friction::Holding;
@@ -68,14 +69,20 @@ pub struct LayerContact {
     layer: Layer,
     grid: Grid,
     friction: f64,
+    tables: Arc<Tables>,
+    pressure: Vec<f64>,
+    traction: [Vec<f64>; 2],
+    work: Work,
+}
+
+/// Everything that depends on layer and grid alone.
+#[derive(Debug)]
+struct Tables {
     influence: Influence,
     /// Sorted by the logarithms of their sides.
     operators: Vec<Operator>,
     /// Number of logarithms along each side.
     sizes: [usize; 2],
-    pressure: Vec<f64>,
-    traction: [Vec<f64>; 2],
-    work: Work,
 }
 
 /// Fields over the window of a solve.
@@ -111,29 +118,31 @@ impl LayerContact {
     pub fn new(layer: Layer, grid: Grid, friction: f64) -> Result<Self, LayerError> {
         check_layer(&layer)?;
         grid.validate(&layer)?;
-        LayerError::check((0.0..=1e6).contains(&friction), "friction", friction, "0 to 1e6")?;
-        let logs = |cells: usize| (cells.max(MIN_SIDE).next_power_of_two() / MIN_SIDE).ilog2() as usize + 1;
-        let sizes = [logs(grid.rows), logs(grid.cols)];
-        let side = MIN_SIDE << (sizes[0].max(sizes[1]) - 1);
-        let influence = Influence::new(&layer, grid.cell_mm, side);
-        let operator = |i: usize| {
-            let sides = [MIN_SIDE << (i / sizes[1]), MIN_SIDE << (i % sizes[1])];
-            Operator::new(&influence, sides)
-        };
-        let operators = (0..sizes[0] * sizes[1]).map(operator).collect();
+        check_friction(friction)?;
+        Ok(Self::of(Arc::new(Tables::new(&layer, grid)), layer, grid, friction))
+    }
+
+    /// As [`Self::new`] with the layer and the grid of this one, whose tables it shares.
+    ///
+    /// # Errors
+    /// [`LayerError::Invalid`] for an invalid friction.
+    pub fn with_friction(&self, friction: f64) -> Result<Self, LayerError> {
+        check_friction(friction)?;
+        Ok(Self::of(self.tables.clone(), self.layer, self.grid, friction))
+    }
+
+    fn of(tables: Arc<Tables>, layer: Layer, grid: Grid, friction: f64) -> Self {
         let none = || zeros(grid.rows * grid.cols);
         let (pressure, traction) = (none(), [none(), none()]);
         let work = Work::default();
-        let mut contact =
-            Self { layer, grid, friction, influence, operators, sizes, pressure, traction, work };
+        let mut contact = Self { layer, grid, friction, tables, pressure, traction, work };
         contact.warm_up();
-        Ok(contact)
+        contact
     }
-
     /// Solves once over the largest window, so that no later solve allocates.
     fn warm_up(&mut self) {
-        let Self { operators, work, .. } = self;
-        let Some(operator) = operators.last() else { return };
+        let Self { tables, work, .. } = self;
+        let Some(operator) = tables.operators.last() else { return };
         let cells = operator.plane.rows * operator.plane.cols;
         let Work {
             heights,
@@ -192,8 +201,8 @@ impl LayerContact {
     ) -> Result<Convergence, LayerError> {
         self.check(&part, tolerance_mm)?;
         let window = Window::around(part.heights_mm, self.grid, RISE);
-        let Self { friction, pressure, traction, work, .. } = self;
-        let operator = &self.operators[window.operator(self.sizes)];
+        let Self { friction, tables, pressure, traction, work, .. } = self;
+        let operator = tables.operator(&window);
         work.begin(operator, &window, &part, start, pressure, traction);
         let found = if *friction > 0.0 {
             work.grip(operator, &window, &part, *friction, (tolerance_mm, stop))
@@ -250,8 +259,8 @@ impl LayerContact {
     /// Motion of the surface over the grid after the last solve, mm: into the layer, and along x and y.
     pub fn surface_mm(&mut self, into: &mut Vec<f64>, aside: &mut [Vec<f64>; 2]) {
         let whole = Window::whole(self.grid);
-        let Self { pressure, traction, work, .. } = self;
-        let operator = &self.operators[whole.operator(self.sizes)];
+        let Self { tables, pressure, traction, work, .. } = self;
+        let operator = tables.operator(&whole);
         let plane = &operator.plane;
         let Work { pressure: pressed, traction: pulled, lifted, spread, scratch, .. } = work;
         whole.cut(pressure, 0.0, plane, pressed);
@@ -283,7 +292,7 @@ impl LayerContact {
     }
 
     pub(crate) fn influence(&self) -> &Influence {
-        &self.influence
+        &self.tables.influence
     }
 
     fn check(&self, part: &Part<'_>, tolerance_mm: f64) -> Result<(), LayerError> {
@@ -307,6 +316,25 @@ impl LayerContact {
             Some(field) => Err(LayerError::Cells { found: field.len(), cells }),
             None => Ok(()),
         }
+    }
+}
+
+impl Tables {
+    fn new(layer: &Layer, grid: Grid) -> Self {
+        let logs = |cells: usize| (cells.max(MIN_SIDE).next_power_of_two() / MIN_SIDE).ilog2() as usize + 1;
+        let sizes = [logs(grid.rows), logs(grid.cols)];
+        let side = MIN_SIDE << (sizes[0].max(sizes[1]) - 1);
+        let influence = Influence::new(layer, grid.cell_mm, side);
+        let operator = |i: usize| {
+            let sides = [MIN_SIDE << (i / sizes[1]), MIN_SIDE << (i % sizes[1])];
+            Operator::new(&influence, sides)
+        };
+        let operators = (0..sizes[0] * sizes[1]).map(operator).collect();
+        Self { influence, operators, sizes }
+    }
+
+    fn operator(&self, window: &Window) -> &Operator {
+        &self.operators[window.operator(self.sizes)]
     }
 }
 
@@ -391,6 +419,10 @@ fn check_layer(layer: &Layer) -> Result<(), LayerError> {
     let (h, nu) = (layer.thickness_mm, layer.poisson_ratio);
     LayerError::check(h > 0.0 && h <= 1e6, "thickness_mm", h, "above 0, at most 1e6 mm")?;
     LayerError::check((0.0..=0.5).contains(&nu), "poisson_ratio", nu, "0 to 0.5")
+}
+
+fn check_friction(friction: f64) -> Result<(), LayerError> {
+    LayerError::check((0.0..=1e6).contains(&friction), "friction", friction, "0 to 1e6")
 }
 
 impl Grid {

@@ -9,7 +9,7 @@ use alloc::vec::Vec;
 use gelstereo_core::layer::Influence;
 
 /// Markers on a grid of cells; the first one stands on cell (`border`, `border`).
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Places {
     pub(crate) rows: usize,
     pub(crate) cols: usize,
@@ -20,7 +20,7 @@ pub(crate) struct Places {
 }
 
 /// Influence of cells on markers.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub(crate) struct Nodes {
     places: Places,
     grid_cols: usize,

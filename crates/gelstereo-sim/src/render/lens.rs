@@ -3,7 +3,7 @@
 use gelstereo_core::math::{ceil, erf, exp, sqrt};
 
 /// The weights along one axis; the weights of the two axes multiply.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Lens {
     pub(crate) sigma_px: f64,
 }

@@ -25,6 +25,7 @@ pub(crate) use shutter::Shutter;
 use crate::effects::{Bridge, Codec, Defocus, Gain, Noise, Shots, SmearsOfView, Texture, UnevenLight};
 use crate::scene::{Images, Scene};
 use crate::simulator::{DotImage, Sight, Truth};
+use alloc::sync::Arc;
 use alloc::vec::Vec;
 use cover::cover;
 use fine::Fine;
@@ -79,9 +80,22 @@ struct View {
     name: &'static str,
     width: usize,
     height: usize,
-    base: Base,
+    grain: Option<Arc<Texture>>,
+    base: Arc<Base>,
     gain: Option<Gain>,
     smears: Option<SmearsOfView>,
+}
+
+impl View {
+    /// Whether it has this size and this very grain.
+    fn shows(&self, size: [usize; 2], grain: Option<&Arc<Texture>>) -> bool {
+        let same_grain = match (&self.grain, grain) {
+            (None, None) => true,
+            (Some(own), Some(other)) => Arc::ptr_eq(own, other),
+            _ => false,
+        };
+        same_grain && [self.width, self.height] == size
+    }
 }
 
 /// Ink of one image: regions, the ellipses first. Overlapping ink counts once.
@@ -97,8 +111,13 @@ struct Ink {
 
 impl Renderer {
     /// `start_s` and `end_s` span the sequence, in which random smears begin; `bridges` is the ink
-    /// between dots.
-    pub(crate) fn new(scene: &Scene, [start_s, end_s]: [f64; 2], bridges: Vec<Bridge>) -> Self {
+    /// between dots. What is the same for the scene of `before` is shared with it.
+    pub(crate) fn new(
+        scene: &Scene,
+        [start_s, end_s]: [f64; 2],
+        bridges: Vec<Bridge>,
+        before: Option<&Self>,
+    ) -> Self {
         let gel = &scene.gel;
         let mut printed = Vec::new();
         printed.resize(gel.rows * gel.cols, true);
@@ -109,15 +128,27 @@ impl Renderer {
         let (gel_level, dot_level) = if gel.bright_dots { (dark, bright) } else { (bright, dark) };
         let effects = &scene.effects;
         let lens = effects.defocus.as_ref().map(Defocus::lens);
-        let view = |index, name, camera: &Camera| {
+        // Whether the gel without ink and grain has the same levels.
+        let same_levels = before.is_some_and(|before| {
+            (before.gel_level, before.lens, &before.light) == (gel_level, lens, &effects.uneven_light)
+        });
+        let view = |index: usize, name, camera: &Camera| {
             let (smears, size) = (effects.smears.as_ref(), [camera.width_px, camera.height_px]);
-            let grain = effects.grain.as_ref().map(|grain| Texture::new(grain, scene.seed, name, camera));
+            let last = before.map(|before| &before.views[index]);
+            let grain = effects.grain.as_ref().map(|grain| {
+                let last = last.and_then(|last| last.grain.as_ref());
+                Texture::shared(grain, scene.seed, (name, camera), last)
+            });
             let gain = effects.uneven_light.as_ref().map(|light| Gain::new(light, camera));
+            let last = last.filter(|last| same_levels && last.shows(size, grain.as_ref()));
+            let base = last.map(|last| last.base.clone());
+            let new = || Arc::new(Base::new(gel_level, grain.as_deref(), gain.as_ref(), lens, size));
             View {
                 name,
                 width: camera.width_px,
                 height: camera.height_px,
-                base: Base::new(gel_level, grain.as_ref(), gain.as_ref(), lens, size),
+                base: base.unwrap_or_else(new),
+                grain,
                 gain,
                 smears: smears.map(|s| SmearsOfView::new(s, scene, index, camera, [start_s, end_s])),
             }
@@ -138,9 +169,15 @@ impl Renderer {
                 (Some(lens), Images::Exact) => Pen::Fine(Fine::new(lens)),
             },
             shutter: effects.motion_blur.as_ref().map(|_| Shutter::new(lens.map(|lens| lens.sigma_px))),
-            shots: effects.shot_noise.as_ref().map(|noise| Shots::new(noise, scene.seed)),
+            shots: effects
+                .shot_noise
+                .as_ref()
+                .map(|noise| Shots::new(noise, scene.seed, before.and_then(|before| before.shots.as_ref()))),
             codec: effects.jpeg.as_ref().map(Codec::new),
-            noise: effects.sensor_noise.as_ref().map(|noise| Noise::new(noise, scene.seed)),
+            noise: effects
+                .sensor_noise
+                .as_ref()
+                .map(|noise| Noise::new(noise, scene.seed, before.and_then(|before| before.noise.as_ref()))),
             ink: Ink::with_room(regions, effects.motion_blur.is_some()),
             canvas: Vec::new(),
             levels: Vec::new(),
@@ -174,7 +211,7 @@ impl Renderer {
     /// Draws one view (0 left, 1 right) of the dots in `truth`.
     pub(crate) fn draw(&mut self, view: usize, truth: &Truth, exposure: Exposure, image: &mut Vec<u8>) {
         self.gather(view, truth);
-        let View { name, width, height, base, gain, smears } = &self.views[view];
+        let View { name, width, height, base, gain, smears, .. } = &self.views[view];
         self.canvas.resize(width * height, 0.0);
         let mut gain = gain.as_ref();
         match &mut self.pen {

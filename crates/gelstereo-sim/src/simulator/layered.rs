@@ -6,6 +6,7 @@ use crate::effects::{ElasticLayer, Grip};
 use crate::layer::{self, LayerContact, Memory, Motion, Nodes, Places, Start};
 use crate::scene::{Scene, SceneError};
 use crate::simulator::ContactState;
+use alloc::sync::Arc;
 use alloc::vec::Vec;
 use gelstereo_core::math::DVec2;
 
@@ -16,7 +17,7 @@ pub(super) struct Layered {
     pub(super) places: Places,
     pub(super) young_kpa: f64,
     pub(super) friction: f64,
-    pub(super) nodes: Nodes,
+    pub(super) nodes: Arc<Nodes>,
     sticks: bool,
     /// Further solves with the cells at their displaced places.
     rounds: usize,
@@ -37,13 +38,20 @@ pub(super) struct Layered {
 }
 
 impl Layered {
-    /// The layer of a scene that has one.
-    pub(super) fn of(scene: &Scene) -> Result<Option<Self>, SceneError> {
+    /// The layer of a scene that has one, at rest. It shares the tables of `before` if these are the same.
+    pub(super) fn of(scene: &Scene, before: Option<&Self>) -> Result<Option<Self>, SceneError> {
         let (gel, effects) = (&scene.gel, &scene.effects);
         let Some(effect) = &effects.elastic_layer else { return Ok(None) };
         let (layer, grid, places) = effect.cells(gel);
-        let contact = LayerContact::new(layer, grid, effect.friction).map_err(SceneError::Layer)?;
-        let nodes = Nodes::new(&contact, places);
+        let same = |before: &&Self| {
+            (before.contact.layer(), before.contact.grid(), before.places) == (layer, grid, places)
+        };
+        let (contact, nodes) = match before.filter(same) {
+            Some(before) => (before.contact.with_friction(effect.friction), Some(before.nodes.clone())),
+            None => (LayerContact::new(layer, grid, effect.friction), None),
+        };
+        let contact = contact.map_err(SceneError::Layer)?;
+        let nodes = nodes.unwrap_or_else(|| Arc::new(Nodes::new(&contact, places)));
         let cells = grid.rows * grid.cols;
         let memory =
             effects.relaxation.as_ref().map(|gel| Memory::new(&gel.terms, 1.0 / scene.frame_rate_hz, cells));

@@ -125,6 +125,20 @@ impl Simulator {
     /// # Errors
     /// [`SceneError`].
     pub fn new(scene: &Scene, mesh: Option<&TriangleMesh>) -> Result<Self, SceneError> {
+        Self::build(scene, mesh, None)
+    }
+
+    /// [`Self::new`], sharing with this simulator what is laborious to build and the same for both scenes:
+    /// the elastic layer's tables, the grain, the image of the gel without ink, the order of the noise. The
+    /// new simulator has the same bits as one that shares nothing; neither affects the other.
+    ///
+    /// # Errors
+    /// [`SceneError`].
+    pub fn replaced(&self, scene: &Scene, mesh: Option<&TriangleMesh>) -> Result<Self, SceneError> {
+        Self::build(scene, mesh, Some(self))
+    }
+
+    fn build(scene: &Scene, mesh: Option<&TriangleMesh>, before: Option<&Self>) -> Result<Self, SceneError> {
         let plan = Plan::of(scene, mesh)?;
         let scene = &plan.scene;
         let part = match (&scene.indenter, mesh) {
@@ -155,12 +169,17 @@ impl Simulator {
             shoulder: effects.shoulder.as_ref().map(|shoulder| Sag::new(shoulder, &lattice)),
             spread: effects.spread.as_ref().map(|spread| Spreading::new(spread, &lattice)),
             drag: effects.drag.as_ref().map(|drag| Pull::new(drag, &lattice)),
-            layered: Layered::of(scene)?.map(Box::new),
+            layered: Layered::of(scene, before.and_then(|before| before.layered.as_deref()))?.map(Box::new),
             delivered: effects
                 .dropped_frames
                 .as_ref()
                 .map(|drops| drops.delivered(seed, trajectory.frames())),
-            renderer: Renderer::new(scene, trajectory.span_s(), bridges),
+            renderer: Renderer::new(
+                scene,
+                trajectory.span_s(),
+                bridges,
+                before.map(|before| &before.renderer),
+            ),
             ellipse_bias: scene.switches.ellipse_bias != Some(Switch::Off),
             exposure_s: effects.motion_blur.as_ref().map(|blur| blur.exposure_s),
             trajectory,
