@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import os
 import re
+import runpy
 import shlex
 import shutil
 import subprocess
@@ -20,7 +21,7 @@ from chessboards import TrueRig, write_pairs
 from test_calibrate_tags import write as write_tags
 from test_templates import ball_points, write_scan
 
-from gelstereo import simulate
+from gelstereo import SlipStatus, simulate
 from gelstereo.calibrate import AprilTagBoard, CharucoBoard
 from gelstereo.cli import main
 from gelstereo.cli.extras import module_of
@@ -156,6 +157,33 @@ def test_the_program_for_a_mesh_runs(tmp_path: Path) -> None:
     said = run_program("part_from_mesh.py", plug, *words, folder=tmp_path)
     assert re.search(r"verdict +fits", said)
     assert [path.name for path in tmp_path.iterdir()] == ["plug.template"]
+
+
+def test_the_program_in_mujoco_feels_the_weight() -> None:
+    """The peg's weight, half of it on each finger, within four standard deviations of the measured wrench."""
+    pytest.importorskip("mujoco", reason="PyPI's mujoco is not installed")
+    program = runpy.run_path(str(SCENES.parent / "examples" / "mujoco_lift.py"))
+    frames = list(program["lift"]())
+    weight_n = program["MASS_KG"] * program["GRAVITY_M_S2"]
+    on_floor = [now for now in frames if 0.3 < now.time_s < 0.4]
+    held = [now for now in frames if now.time_s > 1.0]
+    assert len(on_floor) >= 2 and len(held) >= 5
+    for now in on_floor + held:
+        # The gel pulls as MuJoCo does, to the tolerance that the program states.
+        error_n = np.linalg.norm(now.pair.loads.force_n - now.force_n)
+        assert error_n < program["FORCE_TOLERANCE_N"]
+        sigma_n = np.sqrt(np.diag(now.sensed.wrench.covariance)[:3])
+        assert (np.abs(now.sensed.wrench.force_n - now.pair.loads.force_n) < 4.0 * sigma_n).all()
+        assert sigma_n[1] < 0.05 * weight_n
+    for now in held:
+        # MuJoCo's residual acceleration at rest is below a thousandth of gravity.
+        limit_n = 4.0 * np.sqrt(now.sensed.wrench.covariance[1, 1]) + program["FORCE_TOLERANCE_N"]
+        assert abs(now.sensed.wrench.force_n[1] - 0.5 * weight_n) < limit_n + 0.5e-3 * weight_n
+        assert now.height_mm > 19.0 and now.sensed.slip.status != SlipStatus.GROSS
+    assert all(abs(now.sensed.wrench.force_n[1]) < 0.1 * weight_n for now in on_floor)
+    # Noise alone changes a level by 2 sqrt(2 / pi) of its standard deviation in the mean, 2.3 for 2 levels.
+    change = np.abs(held[-1].pair.left.astype(float) - on_floor[-1].pair.left)
+    assert np.abs(change[200:280, 250:600]).mean() > 2.0 * 2.3
 
 
 def test_the_program_for_a_camera_runs(tmp_path: Path) -> None:

@@ -21,6 +21,7 @@ REQUIREMENTS = {
     "rosbags": "gelstereo[recording]",
     "rerun": "gelstereo[rerun]",
     "pyarrow": "gelstereo[lerobot]",
+    "zarr": "gelstereo[zarr]",
     "gelstereo_bench": "./bench",
     "scipy": "./bench",
     "matplotlib": "./bench",

@@ -50,8 +50,10 @@ fn layer(change: impl Fn(&mut ElasticLayer)) -> impl Fn(&mut Scene) {
     move |scene| scene.effects.elastic_layer.iter_mut().for_each(&change)
 }
 
+type Change = Box<dyn Fn(&mut Scene)>;
+
 /// Changes of a scene, each valid beside every other one.
-fn changes() -> Vec<Box<dyn Fn(&mut Scene)>> {
+fn changes() -> Vec<Change> {
     vec![
         Box::new(|scene| scene.effects.sensor_noise = Some(SensorNoise { sigma_levels: 4.0 })),
         Box::new(|scene| scene.effects.sensor_noise = None),

@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from gelstereo.export.features import (
-    DISPLACEMENT,
+    COUNTED,
     IMAGES,
-    MARKER_STATE,
     Features,
     Values,
     features_of,
@@ -22,7 +22,7 @@ from gelstereo.export.features import (
     schema_of,
     values_of,
 )
-from gelstereo.export.recording import RecordedFrame, recorded_frames
+from gelstereo.export.recording import RecordedFrame
 from gelstereo.export.statistics import Statistics, image_statistics, statistics
 from gelstereo.export.timeline import Timeline
 from gelstereo.extras import needs
@@ -38,12 +38,31 @@ _SAMPLED_IMAGES, _SAMPLED_PIXELS = 100, 4
 
 
 @dataclass(frozen=True)
+class Source:
+    """Where the frames of an episode come from.
+
+    Attributes
+    ----------
+    name : Path or str
+        For messages.
+    frames : callable
+        Iterates over all frames, in the order of their times.
+    rest_mm : (N, 3) float64, optional
+        Markers without contact. Default: those of the first frame.
+    """
+
+    name: Path | str
+    frames: Callable[[], Iterator[RecordedFrame]]
+    rest_mm: npt.NDArray[np.float64] | None = None
+
+
+@dataclass(frozen=True)
 class Episode:
     """A recording as an episode of a dataset.
 
     Attributes
     ----------
-    recording : Path
+    recording : Path or str
     number, start : int
         Number of the episode, and index of its first frame in the dataset.
     timeline : Timeline
@@ -53,7 +72,7 @@ class Episode:
         Statistics of each feature.
     """
 
-    recording: Path
+    recording: Path | str
     number: int
     start: int
     timeline: Timeline
@@ -71,8 +90,8 @@ class EpisodeWriter:
 
     Parameters
     ----------
-    recording, timeline
-        The recording and its steps.
+    source, timeline
+        The frames and their steps.
     number, start
         As in `Episode`.
     features
@@ -83,14 +102,14 @@ class EpisodeWriter:
 
     def __init__(
         self,
-        recording: Path,
+        source: Source,
         timeline: Timeline,
         number: int,
         start: int,
         features: Features | None,
         views: tuple[str, ...],
     ) -> None:
-        self._recording = recording
+        self._source = source
         self._timeline = timeline
         self._number, self._start = number, start
         self._features = features
@@ -105,14 +124,15 @@ class EpisodeWriter:
         """Write the file; `progress` is called with the number of steps done."""
         frames = self._frames()
         repeats, first = next(frames)
-        features = self._features or features_of(self._recording, first, self._views)
+        features = self._features or features_of(self._source.name, first, self._views)
+        rest_mm = first.points_mm if self._source.rest_mm is None else self._source.rest_mm
         schema = schema_of(features)
         path.parent.mkdir(parents=True, exist_ok=True)
         with pq.ParquetWriter(path, schema) as writer:
             rows: list[dict[str, Any]] = []
             step = 0
             for count, frame in chain([(repeats, first)], frames):
-                values = values_of(self._recording, frame, first.points_mm, features)
+                values = values_of(self._source.name, frame, rest_mm, features)
                 row = row_of(values)
                 for _ in range(count):
                     self._keep(values, step)
@@ -126,13 +146,13 @@ class EpisodeWriter:
                 writer.write_table(pa.Table.from_pylist(rows, schema=schema))
         progress(step)
         return Episode(
-            self._recording, self._number, self._start, self._timeline, features, self._statistics()
+            self._source.name, self._number, self._start, self._timeline, features, self._statistics()
         )
 
     def _frames(self) -> Iterator[tuple[int, RecordedFrame]]:
         """Frames used by at least one step, with the number of steps."""
         repeats = Counter(self._timeline.taken)
-        for index, frame in enumerate(recorded_frames(self._recording)):
+        for index, frame in enumerate(self._source.frames()):
             if repeats[index]:
                 yield repeats[index], frame
 
@@ -161,8 +181,8 @@ class EpisodeWriter:
         for name, values in self._kept.items():
             if name.startswith(IMAGES):
                 out[name] = image_statistics(np.stack(values), len(values))
-            elif name in (DISPLACEMENT, MARKER_STATE):
-                out[name] = statistics(np.stack(values))
-            else:
+            elif name in COUNTED:
                 out[name] = statistics(np.array(values, dtype=np.float64))
+            else:
+                out[name] = statistics(np.stack(values))
         return out

@@ -17,6 +17,27 @@ with needs(__name__):
 DISPLACEMENT = "observation.tactile.displacement"
 MARKER_STATE = "observation.tactile.marker_state"
 IMAGES = "observation.images."
+_PREFIX = "observation.tactile."
+_AXES = {"axes": ["x", "y", "z"], "frame": "left camera"}
+
+#: Features beside displacement and state, by the last part of their name: names of the axes, and notes. The
+#: data types `force`, `full` and `wrench` are those of the tactile module proposed to LeRobot.
+TACTILE: dict[str, tuple[list[str], dict[str, Any]]] = {
+    "force": (["marker", "axis"], {"unit": "N", **_AXES}),
+    "full": (
+        ["marker", "channel"],
+        {"unit": ["mm"] * 3 + ["N"] * 3, "channels": ["dx", "dy", "dz", "Fx", "Fy", "Fz"], **_AXES},
+    ),
+    "wrench": (
+        ["Fx", "Fy", "Fz", "Tx", "Ty", "Tz"],
+        {"unit": ["N"] * 3 + ["N mm"] * 3, "about": "origin of the left camera's frame", **_AXES},
+    ),
+    "stick": (["marker"], {"values": {"free": 0, "stuck": 1, "slips": 2, "unknown": 3}}),
+    "part_pose": (
+        ["x", "y", "z", "rx", "ry", "rz"],
+        {"unit": ["mm"] * 3 + ["rad"] * 3, "rotation": "rotation vector", "frame": "left camera"},
+    ),
+}
 
 #: PNG compression, 1 to 9. A simulated 640 x 480 image as three equal colours takes 259 kB. Level 1 takes 301
 #: kB in two thirds of the time; level 9 takes 237 kB in ten times the time.
@@ -35,7 +56,7 @@ COUNTED: Features = {
 }
 
 
-def features_of(path: Path, frame: RecordedFrame, views: tuple[str, ...]) -> Features:
+def features_of(path: Path | str, frame: RecordedFrame, views: tuple[str, ...]) -> Features:
     """The features of a dataset with frames of this format."""
     lattice = {"rows": frame.rows, "cols": frame.cols, "order": "row * cols + col"}
     out: Features = {
@@ -52,6 +73,12 @@ def features_of(path: Path, frame: RecordedFrame, views: tuple[str, ...]) -> Fea
             "info": {"values": {"seen": 0, "held": 1, "lost": 2}, **lattice},
         },
     }
+    for name, values in frame.tactile.items():
+        names, info = TACTILE[name]
+        dtype = "uint8" if name == "stick" else "float32"
+        extra = lattice if names[0] == "marker" else {}
+        feature = {"dtype": dtype, "shape": list(values.shape), "names": names, "info": {**info, **extra}}
+        out[_PREFIX + name] = feature
     for view in views:
         height, width = _image(path, frame, view).shape
         shape = {"shape": [height, width, 3], "names": ["height", "width", "channels"]}
@@ -75,7 +102,7 @@ def _column(feature: dict[str, Any]) -> pa.DataType:
 
 
 def values_of(
-    path: Path, frame: RecordedFrame, rest_mm: npt.NDArray[np.float64], features: Features
+    path: Path | str, frame: RecordedFrame, rest_mm: npt.NDArray[np.float64], features: Features
 ) -> Values:
     """A frame's values of the features; images are (H, W) uint8."""
     if len(frame.points_mm) != features[DISPLACEMENT]["shape"][0]:
@@ -85,6 +112,13 @@ def values_of(
         DISPLACEMENT: (frame.points_mm - rest_mm).astype(np.float32),
         MARKER_STATE: frame.state,
     }
+    for name, found in frame.tactile.items():
+        feature = features.get(_PREFIX + name)
+        if feature is not None:
+            values[_PREFIX + name] = np.asarray(found).astype(feature["dtype"])
+    missing = [name for name in features if name.startswith(_PREFIX) and name not in values]
+    if missing:
+        raise ExportError(f"{path} has a frame without {missing[0]}; the frames before have it")
     for name in features:
         if name.startswith(IMAGES):
             image = _image(path, frame, name.removeprefix(IMAGES))
@@ -116,7 +150,7 @@ def row_of(values: Values) -> dict[str, Any]:
     return row
 
 
-def _image(path: Path, frame: RecordedFrame, view: str) -> npt.NDArray[np.uint8]:
+def _image(path: Path | str, frame: RecordedFrame, view: str) -> npt.NDArray[np.uint8]:
     if view not in frame.images:
         raise ExportError(
             f"{path} has no {view} image of the frame at {frame.time_ns} ns; export it with --images none"

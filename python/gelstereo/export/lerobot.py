@@ -7,13 +7,14 @@ needed; LeRobot's own loader opens the result in the tests.
 from __future__ import annotations
 
 import json
-import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from gelstereo.export.episode import Episode, EpisodeWriter
-from gelstereo.export.recording import ExportError, frame_times_ns
+from gelstereo.export.episode import Episode, EpisodeWriter, Source
+from gelstereo.export.folder import new_folder
+from gelstereo.export.recording import ExportError, frame_times_ns, recorded_frames
 from gelstereo.export.statistics import pooled
 from gelstereo.export.timeline import Timeline
 from gelstereo.extras import needs
@@ -64,24 +65,52 @@ def export_lerobot(
     ExportError
         If a recording cannot be used, or the folder exists.
     """
-    if folder.exists():
-        raise ExportError(f"{folder} exists; name a new folder, or remove this one")
     timelines = _timelines(recordings, fps)
     total = sum(len(timeline.taken) for timeline in timelines)
-    partial = folder.with_name(folder.name + ".partial")
-    shutil.rmtree(partial, ignore_errors=True)
+    sources = [Source(path, partial(recorded_frames, path)) for path in recordings]
+
+    def steps(done: int) -> None:
+        progress(done, total)
+
+    return write_lerobot(zip(sources, timelines, strict=True), folder, task=task, views=views, progress=steps)
+
+
+def write_lerobot(
+    sources: Iterable[tuple[Source, Timeline]],
+    folder: Path,
+    *,
+    task: str,
+    views: Sequence[str] = ("left",),
+    progress: Callable[[int], None] = lambda done: None,
+) -> list[Episode]:
+    """Write episodes from any source of frames as a dataset; the sources may be made on the way.
+
+    Parameters
+    ----------
+    sources
+        Frames and steps of each episode.
+    folder, task, views
+        As in `export_lerobot`.
+    progress
+        Called with the steps done.
+
+    Raises
+    ------
+    ExportError
+        If a source cannot be used, there is none, or the folder exists.
+    """
     episodes: list[Episode] = []
-    try:
-        for number, (recording, timeline) in enumerate(zip(recordings, timelines, strict=True)):
-            start = sum(episode.length for episode in episodes)
+    start = 0
+    with new_folder(folder) as unfinished:
+        for number, (source, timeline) in enumerate(sources):
             features = episodes[0].features if episodes else None
-            writer = EpisodeWriter(recording, timeline, number, start, features, tuple(views))
-            path = partial / _path("data", number)
-            episodes.append(writer.write(path, lambda done, before=start: progress(before + done, total)))  # type: ignore[misc]
-        _write_meta(partial, episodes, task)
-        partial.rename(folder)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
+            writer = EpisodeWriter(source, timeline, number, start, features, tuple(views))
+            path = unfinished / _path("data", number)
+            episodes.append(writer.write(path, lambda done, before=start: progress(before + done)))  # type: ignore[misc]
+            start += episodes[-1].length
+        if not episodes:
+            raise ExportError("there is no episode to write; valid is one or more")
+        _write_meta(unfinished, episodes, task)
     return episodes
 
 

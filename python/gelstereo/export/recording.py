@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from gelstereo import Error
+from gelstereo.export.errors import ExportError
 from gelstereo.export.images import decoded, views_of
 from gelstereo.extras import needs
 
@@ -38,10 +38,6 @@ _IMAGES = {
 _TOPICS = {_POINTS, _CAPTURE, _STEREO, *_IMAGES}
 
 
-class ExportError(Error):
-    """A recording cannot be exported, or the target cannot be used."""
-
-
 @dataclass(frozen=True)
 class RecordedFrame:
     """One sensed frame.
@@ -58,6 +54,8 @@ class RecordedFrame:
         `gelstereo.MarkerState`.
     images : dict
         ``left`` and ``right``, (H, W) uint8, if recorded.
+    tactile : dict
+        Other values of the contact by the name of their feature, see `gelstereo.export.features.TACTILE`.
     """
 
     time_ns: int
@@ -66,6 +64,7 @@ class RecordedFrame:
     points_mm: npt.NDArray[np.float64]
     state: npt.NDArray[np.uint8]
     images: dict[str, Image]
+    tactile: dict[str, npt.NDArray[np.float64]] = field(default_factory=dict)
 
 
 def frame_times_ns(path: Path) -> list[int]:
