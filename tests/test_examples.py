@@ -126,6 +126,7 @@ def test_examples_of_exports_run(words: list[str], tmp_path: Path, monkeypatch: 
     monkeypatch.chdir(tmp_path)
     scene = str(SCENES / "grasp_cylinder.toml")
     assert main(["live", "--scene", scene, "--frames", "8", "--show", "none", "--record", "run.mcap"]) == 0
+    Path("force.toml").write_text('force = { method = "ridge", thickness_mm = 5.0, young_kpa = 100.0 }')
     assert main(words) == 0
 
 

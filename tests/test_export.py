@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -16,6 +17,9 @@ from hypothesis.extra.numpy import arrays
 
 import gelstereo as gs
 from gelstereo.cli import main
+from gelstereo.live import LiveSensor
+from gelstereo.live.source import LiveFrame
+from gelstereo.recordings import load_recording
 
 pytest.importorskip("rosbags", reason="PyPI's rosbags is not installed")
 parquet = pytest.importorskip("pyarrow.parquet", reason="PyPI's pyarrow is not installed")
@@ -24,6 +28,7 @@ from gelstereo.export.lerobot import export_lerobot  # noqa: E402
 from gelstereo.export.recording import ExportError, _messages, recorded_frames  # noqa: E402
 from gelstereo.export.statistics import pooled, statistics  # noqa: E402
 from gelstereo.export.timeline import Timeline  # noqa: E402
+from gelstereo.live.record import LiveRecorder  # noqa: E402
 
 SCENE = Path(__file__).parents[1] / "scenes" / "grasp_cylinder.toml"
 DISPLACEMENT = "observation.tactile.displacement"
@@ -164,3 +169,118 @@ def test_pooled_statistics_are_those_of_all(parts: list[np.ndarray]) -> None:
     for name in ("min", "max", "mean", "std", "count"):
         np.testing.assert_allclose(together[name], alone[name], atol=1e-6, err_msg=name)
     assert (together["q50"] >= alone["min"] - 1e-9).all() and (together["q50"] <= alone["max"] + 1e-9).all()
+
+
+@pytest.fixture(scope="module")
+def pressed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[gs.Frame]]:
+    """A recording with forces and slip, and its frames: a ball is pressed in and dragged."""
+    scene = gs.Scene().replace(
+        indenter={"kind": "sphere", "radius_mm": 5.0},
+        effects={"elastic_layer": {"friction": 0.4}, "sensor_noise": {}},
+        trajectory=[
+            {"time_s": 0.0, "position_mm": [4.0, 0.0, 34.0]},
+            {"time_s": 0.1, "position_mm": [4.0, 0.0, 32.9]},
+            {"time_s": 0.3, "position_mm": [4.5, 0.0, 32.9], "shear_mm": [0.5, 0.0]},
+        ],
+    )
+    params = gs.Params.preset("balanced").replace(
+        force={"method": "ridge", "thickness_mm": 5.0, "young_kpa": 100.0},
+        slip={"method": "rigid", "frame_rate_hz": 30.0},
+    )
+    path = tmp_path_factory.mktemp("pressed") / "pressed.mcap"
+    sensor = LiveSensor(scene.rig, params)
+    frames = []
+    with LiveRecorder(path, scene.rig, params) as recorder:
+        for index, pair in enumerate(gs.simulate(scene)):
+            time_ns = round(pair.time_s * 1e9)
+            result = sensor.process(LiveFrame(pair.left, pair.right, index, time_ns))
+            assert result.sensed is not None
+            frames.append(result.sensed)
+            recorder.write(result)
+    assert len(frames) == 10 and frames[0].wrench is None and frames[-1].wrench is not None
+    return path, frames
+
+
+def test_forces_are_columns_of_the_tables(pressed: tuple[Path, list[gs.Frame]]) -> None:
+    path, frames = pressed
+    table = load_recording(path).frame_table()
+    for at, frame in enumerate(frames):
+        found = [table[name][at] for name in ("fx_n", "fy_n", "fz_n", "tx_nmm", "ty_nmm", "tz_nmm")]
+        if frame.wrench is None:
+            assert np.isnan(found).all()
+        else:
+            about_origin = frame.wrench.about([0.0, 0.0, 0.0])
+            np.testing.assert_allclose(found, [*about_origin.force_n, *about_origin.torque_nmm], rtol=1e-12)
+        status = "" if frame.slip is None else gs.SlipStatus(frame.slip.status).name.lower()
+        assert table["slip"][at] == status
+        ratio = None if frame.slip is None else frame.slip.stick_ratio
+        assert table["stick_ratio"][at] == ratio or (ratio is None and np.isnan(table["stick_ratio"][at]))
+    assert {"stuck", ""} <= set(table["slip"]) and table["fz_n"][-1] < -0.3
+
+
+def test_forces_at_the_markers_sum_to_the_wrench(
+    pressed: tuple[Path, list[gs.Frame]], recording: Path, tmp_path: Path
+) -> None:
+    path, frames = pressed
+    plain, sensed = tmp_path / "plain", tmp_path / "forces"
+    assert main(["export", str(path), "--to", "lerobot", str(plain), "--images", "none"]) == 0
+    assert main(["export", str(path), "--to", "lerobot", str(sensed), "--images", "none", "--force"]) == 0
+    tables = [parquet.read_table(folder / "data/chunk-000/file-000.parquet") for folder in (plain, sensed)]
+    tactile = "observation.tactile."
+    assert tactile + "force" not in tables[0].column_names
+    wrenches = [np.array(table[tactile + "wrench"].to_pylist()) for table in tables]
+    # Single precision; and the wrench was recorded in double precision.
+    np.testing.assert_allclose(*wrenches, rtol=1e-6)
+    force_n, full = (np.array(tables[1][tactile + name].to_pylist()) for name in ("force", "full"))
+    displacement = np.array(tables[1][DISPLACEMENT].to_pylist())
+    assert force_n.shape == (10, 625, 3) and full.shape == (10, 625, 6)
+    # The squares are those of the stated pitch; the rest frame's pitch is measured within a thousandth of it.
+    np.testing.assert_allclose(force_n.sum(axis=1), wrenches[1][:, :3], rtol=2e-3, atol=1e-5)
+    np.testing.assert_allclose(full, np.concatenate([displacement, force_n], axis=2), atol=1e-5)
+    assert np.array_equal(wrenches[1][0], np.zeros(6)) and frames[-1].wrench is not None
+    np.testing.assert_allclose(wrenches[1][-1, :3], frames[-1].wrench.force_n, rtol=1e-6)
+    with pytest.raises(ExportError, match="calibrate-force"):
+        export_lerobot([recording], tmp_path / "no", task="grasp", forces=True)
+
+
+def test_the_layout_for_foxglove_shows_what_is_recorded(pressed: tuple[Path, list[gs.Frame]]) -> None:
+    """Its topics and fields are those of a recording; the host alone has contacts."""
+    layout = json.loads((SCENE.parents[1] / "examples" / "foxglove" / "gelstereo.json").read_text())
+    panels: set[str] = set()
+
+    def collect(part: Any) -> None:
+        if isinstance(part, str):
+            panels.add(part)
+        else:
+            assert part["direction"] in ("row", "column")
+            collect(part["first"])
+            collect(part["second"])
+
+    collect(layout["layout"])
+    configs = layout["configById"]
+    assert panels == set(configs)
+    topics = {
+        POINTS,
+        LEFT,
+        LEFT.replace("left", "right"),
+        "/gelstereo/wrench",
+        "/gelstereo/slip",
+        "/gelstereo/frame",
+    }
+    messages = dict(_messages(pressed[0], topics))
+    assert set(messages) == topics
+    paths = [
+        path["value"] for name, plot in configs.items() if name.startswith("Plot") for path in plot["paths"]
+    ]
+    paths += [raw["topicPath"] for name, raw in configs.items() if name.startswith("RawMessages")]
+    for path in paths:
+        topic, *fields = path.split(".")
+        if topic == "/gelstereo/contact":
+            continue
+        found = messages[topic]
+        for field in fields:
+            found = getattr(found, field)
+        assert isinstance(found, (float, str))
+    images = {image["imageMode"]["imageTopic"] for name, image in configs.items() if name.startswith("Image")}
+    cloud = configs["3D!markers"]["topics"][POINTS]["colorField"]
+    assert images <= topics and cloud in [field.name for field in messages[POINTS].fields]

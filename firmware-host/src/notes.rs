@@ -4,7 +4,18 @@
 use crate::report::Stage;
 use crate::sensing::{Action, Sensing, SensingError};
 use gelstereo_core::register::{Registration, TrackingStatus};
+use gelstereo_core::slip::Slip;
 use gelstereo_core::track::MarkerState;
+
+/// Note for the topic `/gelstereo/slip`: how the contact slips, and how much of it sticks.
+#[must_use]
+pub fn slip_note(slip: &Slip) -> serde_json::Value {
+    serde_json::json!({
+        "status": slip.status,
+        "stick_ratio": slip.stick_ratio,
+        "stick_range": slip.stick_range,
+    })
+}
 
 /// Note for the topic `/gelstereo/frame`: figures and digest of a frame, or the error; with a deadline also
 /// the limit of work and whether a cheaper method was used.

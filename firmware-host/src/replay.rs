@@ -276,7 +276,13 @@ impl Replay {
                 }
             }
             Topic::Stage => self.request(messages::read_string(data).map_err(fail)?)?,
-            Topic::Points | Topic::Wrench | Topic::Pose | Topic::Gripper | Topic::Robot | Topic::Contact => {}
+            Topic::Points
+            | Topic::Wrench
+            | Topic::Pose
+            | Topic::Gripper
+            | Topic::Robot
+            | Topic::Contact
+            | Topic::Slip => {}
         }
         Ok(())
     }

@@ -33,11 +33,13 @@ pub enum Topic {
     Capture,
     /// Contact state, JSON.
     Contact,
+    /// Slip of the part along the gel, JSON.
+    Slip,
 }
 
 impl Topic {
     /// All topics, in the order of their channels.
-    pub const ALL: [Self; 14] = [
+    pub const ALL: [Self; 15] = [
         Self::LeftImage,
         Self::RightImage,
         Self::LeftCompressed,
@@ -52,6 +54,7 @@ impl Topic {
         Self::Stage,
         Self::Capture,
         Self::Contact,
+        Self::Slip,
     ];
 
     /// Name of the topic.
@@ -72,6 +75,7 @@ impl Topic {
             Self::Stage => "/gelstereo/stage",
             Self::Capture => "/gelstereo/capture",
             Self::Contact => "/gelstereo/contact",
+            Self::Slip => "/gelstereo/slip",
         }
     }
 
@@ -84,7 +88,7 @@ impl Topic {
                 schemas::COMPRESSED_IMAGE
             }
             Self::Points => schemas::POINT_CLOUD,
-            Self::Frame | Self::Stage | Self::Capture | Self::Contact => schemas::STRING,
+            Self::Frame | Self::Stage | Self::Capture | Self::Contact | Self::Slip => schemas::STRING,
             Self::Pose => schemas::POSE_WITH_COVARIANCE,
             Self::Wrench => schemas::WRENCH,
             Self::Gripper => schemas::JOINT_STATE,

@@ -23,7 +23,7 @@ pub use rest::{RestState, RestStep};
 pub use setup::{Listeners, NamedSource, SenseError, named_source, open_outputs, recording_path};
 
 use crate::config::Config;
-use crate::notes::{action_note, frame_note};
+use crate::notes::{action_note, frame_note, slip_note};
 use crate::recording::{Recording, Topic, messages};
 use crate::report::Stage;
 use crate::sensing::{self, Action, Sensing};
@@ -227,6 +227,9 @@ impl<'a> Sense<'a> {
         self.parts.outputs.message(Topic::Points, time_ns, &messages::points(time_ns, frame));
         if let Some(wrench) = &frame.wrench {
             self.parts.outputs.message(Topic::Wrench, time_ns, &messages::wrench(time_ns, wrench));
+        }
+        if let Some(slip) = &frame.slip {
+            self.parts.outputs.text(Topic::Slip, time_ns, || slip_note(slip).to_string());
         }
         match self.rest.step(frame, &self.parts.config.sense) {
             RestStep::Learning => return,

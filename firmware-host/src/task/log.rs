@@ -2,7 +2,7 @@
 
 use super::Sinks;
 use crate::gripper::GripperStatus;
-use crate::notes::{action_note, frame_note};
+use crate::notes::{action_note, frame_note, slip_note};
 use crate::recording::{MessageSink, Recording, RecordingReport, Topic, messages};
 use crate::report::{Figure, Stage, StageReport, Trace};
 use crate::robot::RobotStatus;
@@ -124,6 +124,9 @@ impl<'a> Log<'a> {
                 self.record(Topic::Points, || messages::points(time_ns, sensing.frame()));
                 if let Some(wrench) = &sensing.frame().wrench {
                     self.record(Topic::Wrench, || messages::wrench(time_ns, wrench));
+                }
+                if let Some(slip) = &sensing.frame().slip {
+                    self.record(Topic::Slip, || messages::string(&slip_note(slip).to_string()));
                 }
             }
             Err(_) => self.bad_frames += 1,

@@ -12,8 +12,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from gelstereo._native import Params
 from gelstereo.export.episode import Episode, EpisodeWriter, Source
 from gelstereo.export.folder import new_folder
+from gelstereo.export.forces import frames_with_forces
 from gelstereo.export.recording import ExportError, frame_times_ns, recorded_frames
 from gelstereo.export.statistics import pooled
 from gelstereo.export.timeline import Timeline
@@ -36,6 +38,8 @@ def export_lerobot(
     task: str,
     fps: int | None = None,
     views: Sequence[str] = ("left",),
+    forces: bool = False,
+    force_settings: Params | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[Episode]:
     """Write recordings as a dataset.
@@ -53,6 +57,11 @@ def export_lerobot(
         one.
     views
         Views whose images are exported: any of ``left`` and ``right``.
+    forces
+        Whether the images are sensed again for the features ``force``, ``full`` and ``wrench``. A ``wrench``
+        that was recorded is exported anyway.
+    force_settings
+        Their table ``force`` replaces that of the recording.
     progress
         Called with the steps done and the total.
 
@@ -67,7 +76,13 @@ def export_lerobot(
     """
     timelines = _timelines(recordings, fps)
     total = sum(len(timeline.taken) for timeline in timelines)
-    sources = [Source(path, partial(recorded_frames, path)) for path in recordings]
+    sources = [
+        Source(
+            path,
+            partial(frames_with_forces, path, force_settings) if forces else partial(recorded_frames, path),
+        )
+        for path in recordings
+    ]
 
     def steps(done: int) -> None:
         progress(done, total)

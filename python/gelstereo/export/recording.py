@@ -27,6 +27,7 @@ _MAGIC = b"\x89MCAP0\r\n"
 _NS_PER_S = 1_000_000_000
 _MM_PER_M = 1000.0
 _POINTS = "/gelstereo/points"
+_WRENCH = "/gelstereo/wrench"
 _CAPTURE = "/gelstereo/capture"
 _STEREO = "/gelstereo/stereo/image/compressed"
 _IMAGES = {
@@ -35,7 +36,7 @@ _IMAGES = {
     "/gelstereo/left/image/compressed": "left",
     "/gelstereo/right/image/compressed": "right",
 }
-_TOPICS = {_POINTS, _CAPTURE, _STEREO, *_IMAGES}
+_TOPICS = {_POINTS, _WRENCH, _CAPTURE, _STEREO, *_IMAGES}
 
 
 @dataclass(frozen=True)
@@ -72,6 +73,11 @@ def frame_times_ns(path: Path) -> list[int]:
     return [_stamp_ns(message) for topic, message in _messages(path, {_POINTS}) if topic == _POINTS]
 
 
+def has_wrenches(path: Path) -> bool:
+    """Whether forces were measured."""
+    return any(topic == _WRENCH for topic, _ in _messages(path, {_POINTS, _WRENCH}))
+
+
 def recorded_frames(path: Path) -> Iterator[RecordedFrame]:
     """All frames with markers, in the order of the file. Frames that could not be sensed are left out.
 
@@ -82,6 +88,9 @@ def recorded_frames(path: Path) -> Iterator[RecordedFrame]:
     """
     images: dict[str, tuple[int, Image]] = {}
     layout = "side_by_side"
+    # Without contact there is no message.
+    tactile = {"wrench": np.zeros(6)} if has_wrenches(path) else {}
+    held: RecordedFrame | None = None
     for topic, message in _messages(path, _TOPICS):
         if topic == _CAPTURE:
             layout = json.loads(message.data).get("layout", layout)
@@ -93,12 +102,19 @@ def recorded_frames(path: Path) -> Iterator[RecordedFrame]:
                     for view, image in zip(("left", "right"), views, strict=True)
                 }
             )
+        elif topic == _WRENCH:
+            if held is not None and held.time_ns == _stamp_ns(message):
+                held.tactile["wrench"] = _wrench(message.wrench)
         elif topic in _IMAGES:
             images[_IMAGES[topic]] = (_stamp_ns(message), _image(path, message))
         else:
             time_ns = _stamp_ns(message)
             of_now = {view: image for view, (image_ns, image) in images.items() if image_ns == time_ns}
-            yield _frame(path, time_ns, message, of_now)
+            if held is not None:
+                yield held
+            held = _frame(path, time_ns, message, of_now, dict(tactile))
+    if held is not None:
+        yield held
 
 
 def _messages(path: Path, topics: set[str]) -> Iterator[tuple[str, Any]]:
@@ -131,6 +147,13 @@ def _stamp_ns(message: Any) -> int:
     return int(message.header.stamp.sec) * _NS_PER_S + int(message.header.stamp.nanosec)
 
 
+def _wrench(wrench: Any) -> npt.NDArray[np.float64]:
+    """(6,) force and torque, N and N mm."""
+    force, torque = wrench.force, wrench.torque
+    torque_nmm = np.array([torque.x, torque.y, torque.z]) * _MM_PER_M
+    return np.array([force.x, force.y, force.z, *torque_nmm])
+
+
 def _image(path: Path, message: Any) -> Image:
     if hasattr(message, "format"):
         return decoded(message.data)
@@ -140,7 +163,13 @@ def _image(path: Path, message: Any) -> Image:
     return pixels
 
 
-def _frame(path: Path, time_ns: int, cloud: Any, images: dict[str, Image]) -> RecordedFrame:
+def _frame(
+    path: Path,
+    time_ns: int,
+    cloud: Any,
+    images: dict[str, Image],
+    tactile: dict[str, npt.NDArray[np.float64]],
+) -> RecordedFrame:
     offsets = {field.name: field.offset for field in cloud.fields}
     missing = {"x", "y", "z", "state"} - set(offsets)
     if missing:
@@ -156,5 +185,5 @@ def _frame(path: Path, time_ns: int, cloud: Any, images: dict[str, Image]) -> Re
     values = np.frombuffer(bytes(cloud.data), dtype=layout)
     points_m = np.stack([values["x"], values["y"], values["z"]], axis=1).astype(np.float64)
     return RecordedFrame(
-        time_ns, cloud.height, cloud.width, points_m * _MM_PER_M, values["state"].copy(), images
+        time_ns, cloud.height, cloud.width, points_m * _MM_PER_M, values["state"].copy(), images, tactile
     )

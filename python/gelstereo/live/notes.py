@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from gelstereo import Error, Localization, MarkerState, Params, Rig
+from gelstereo import Error, Localization, MarkerState, Params, Rig, Slip, SlipStatus
 from gelstereo.live.sensing import LiveResult
 from gelstereo.live.source import LiveFrame
 
@@ -82,6 +82,15 @@ def pose_note(located: Localization) -> dict[str, Any]:
         "converged": located.converged,
         "free": [str(direction) for direction in located.free],
         "digest": f"{located.digest:016x}",
+    }
+
+
+def slip_note(slip: Slip) -> dict[str, Any]:
+    """The host's message about slip on ``/gelstereo/slip``."""
+    return {
+        "status": SlipStatus(slip.status).name.lower(),
+        "stick_ratio": slip.stick_ratio,
+        "stick_range": list(slip.stick_range),
     }
 
 

@@ -18,10 +18,17 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from gelstereo import Error, Frame, Localization, Params, Rig, __version__
+from gelstereo import Error, Frame, Localization, Params, Rig, Wrench, __version__
 from gelstereo.extras import needs
 from gelstereo.geometry import so3_from_matrix
-from gelstereo.live.notes import capture_note, config_toml, frame_note, pose_note, ros_covariance
+from gelstereo.live.notes import (
+    capture_note,
+    config_toml,
+    frame_note,
+    pose_note,
+    ros_covariance,
+    slip_note,
+)
 from gelstereo.live.sensing import LiveResult
 from gelstereo.live.source import LiveFrame
 
@@ -40,6 +47,7 @@ _IMAGE = "sensor_msgs/msg/Image"
 _CLOUD = "sensor_msgs/msg/PointCloud2"
 _POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 _COMPRESSED = "sensor_msgs/msg/CompressedImage"
+_WRENCH = "geometry_msgs/msg/WrenchStamped"
 _TOPICS = {
     "/gelstereo/left/image": _IMAGE,
     "/gelstereo/right/image": _IMAGE,
@@ -49,6 +57,8 @@ _TOPICS = {
     "/gelstereo/points": _CLOUD,
     "/gelstereo/frame": _STRING,
     "/gelstereo/pose": _POSE,
+    "/gelstereo/wrench": _WRENCH,
+    "/gelstereo/slip": _STRING,
     "/gelstereo/stage": _STRING,
     "/gelstereo/capture": _STRING,
 }
@@ -156,6 +166,10 @@ class LiveRecorder:
             self._text("/gelstereo/frame", time_ns, frame_note(result))
         if result.sensed is not None:
             self._cloud(time_ns, result.sensed)
+            if result.sensed.wrench is not None:
+                self._wrench(time_ns, result.sensed.wrench)
+            if result.sensed.slip is not None:
+                self._text("/gelstereo/slip", time_ns, slip_note(result.sensed.slip))
         if result.located is not None:
             self._pose(time_ns, result.located)
             self._text("/gelstereo/stage", time_ns, pose_note(result.located))
@@ -265,6 +279,14 @@ class LiveRecorder:
             data=points.view(np.uint8),
             is_dense=True,
         )
+
+    def _wrench(self, time_ns: int, wrench: Wrench) -> None:
+        types = self._store.types
+        about_origin = wrench.about([0.0, 0.0, 0.0])
+        vectors = (about_origin.force_n, about_origin.torque_nmm / _MM_PER_M)
+        force, torque = (types["geometry_msgs/msg/Vector3"](*vector) for vector in vectors)
+        inner = types["geometry_msgs/msg/Wrench"](force=force, torque=torque)
+        self._add("/gelstereo/wrench", time_ns, header=self._header(time_ns, SENSOR_FRAME), wrench=inner)
 
     def _pose(self, time_ns: int, located: Localization) -> None:
         types = self._store.types

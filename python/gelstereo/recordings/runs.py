@@ -25,6 +25,7 @@ from gelstereo.view.messages import (
     pose_of,
     pose_sigma_of,
     text_of,
+    wrench_of,
 )
 
 __all__ = ["Recording", "load_recording"]
@@ -46,6 +47,8 @@ class _Sensed:
     cloud: Cloud | None = None
     pose: npt.NDArray[np.float64] = field(default_factory=lambda: np.full((4, 4), np.nan))
     sigma: npt.NDArray[np.float64] = field(default_factory=lambda: np.full(6, np.nan))
+    wrench: npt.NDArray[np.float64] = field(default_factory=lambda: np.full(6, np.nan))
+    slip: dict[str, Any] = field(default_factory=dict)
 
     def count(self, state: MarkerState) -> int:
         return 0 if self.cloud is None else int(np.count_nonzero(self.cloud.state == state))
@@ -94,6 +97,11 @@ class Recording:
             - ``x_mm``, ``y_mm``, ``z_mm``: the part's origin in the sensor frame
             - ``rx_rad``, ``ry_rad``, ``rz_rad``: rotation vector of the part in the sensor frame
             - ``sigma_`` and the name of these six: standard deviations, rotations about the sensor's axes
+            - ``fx_n``, ``fy_n``, ``fz_n``, ``tx_nmm``, ``ty_nmm``, ``tz_nmm``: force and torque of the part on
+              the gel, about the origin of the sensor frame; NaN without contact or without ``force.method``
+            - ``slip``: ``unknown``, ``stuck``, ``incipient`` or ``gross``; empty without contact or without
+              ``slip.method``
+            - ``stick_ratio``: markers that stick over those known to stick or slip
             - ``gripper_width_mm``: the latest opening width
         """
         frames = self._sensed
@@ -115,7 +123,8 @@ class Recording:
         table["max_indentation_mm"] = np.array(
             [np.nan if c is None else float(np.max(c.indentation_mm, initial=0.0)) for c in clouds]
         )
-        return table | self._pose_columns() | {"gripper_width_mm": np.array([f.width_mm for f in frames])}
+        table |= self._pose_columns() | self._force_columns()
+        return table | {"gripper_width_mm": np.array([f.width_mm for f in frames])}
 
     def _pose_columns(self) -> Table:
         known = ~np.isnan(self.t_sensor_object[:, 0, 0])
@@ -127,6 +136,17 @@ class Recording:
         names = ["x_mm", "y_mm", "z_mm", "rx_rad", "ry_rad", "rz_rad"]
         return dict(zip(names, values.T, strict=True)) | {
             f"sigma_{name}": column for name, column in zip(names, sigma.T, strict=True)
+        }
+
+    def _force_columns(self) -> Table:
+        wrench = np.array([frame.wrench for frame in self._sensed])
+        names = ["fx_n", "fy_n", "fz_n", "tx_nmm", "ty_nmm", "tz_nmm"]
+        ratios = [frame.slip.get("stick_ratio") for frame in self._sensed]
+        return dict(zip(names, wrench.T, strict=True)) | {
+            "slip": np.array([frame.slip.get("status", "") for frame in self._sensed]),
+            "stick_ratio": np.array(
+                [np.nan if ratio is None else ratio for ratio in ratios], dtype=np.float64
+            ),
         }
 
     def marker_table(self) -> Table:
@@ -215,3 +235,7 @@ class _Walk:
         elif topic == "/gelstereo/pose" and self.sensed:
             # A pose follows its frame, as in the viewer.
             self.sensed[-1].pose, self.sensed[-1].sigma = pose_of(data), pose_sigma_of(data)
+        elif topic == "/gelstereo/wrench" and self.sensed:
+            self.sensed[-1].wrench = wrench_of(data)
+        elif topic == "/gelstereo/slip" and self.sensed:
+            self.sensed[-1].slip = json.loads(text_of(data))

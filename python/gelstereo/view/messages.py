@@ -202,6 +202,15 @@ def pose_sigma_of(data: bytes) -> Floats:
     return np.sqrt(variances) * ([_MM_PER_METRE] * 3 + [1.0] * 3)
 
 
+def wrench_of(data: bytes) -> Floats:
+    """(6,) force (N) and torque about the origin of the sensor frame (N mm) of a
+    ``geometry_msgs/msg/WrenchStamped``.
+    """
+    cdr = Cdr(data)
+    cdr.header()
+    return np.array(cdr.numbers("d", 6)) * ([1.0] * 3 + [_MM_PER_METRE] * 3)
+
+
 def opening_of(data: bytes) -> float:
     """Opening width of the gripper in a ``sensor_msgs/msg/JointState``, millimetres."""
     cdr = Cdr(data)
