@@ -192,6 +192,7 @@ PUBLIC_MODULES = [
     *(
         "calibrate",
         "cameras",
+        "datasets",
         "extras",
         "force",
         "geometry",
@@ -202,7 +203,7 @@ PUBLIC_MODULES = [
         "parts",
         "point_files",
     ),
-    *("progress", "recordings", "scattered", "setup", "streams", "templates", "tune", "view"),
+    *("progress", "randomization", "recordings", "scattered", "setup", "streams", "templates", "tune", "view"),
 ]
 
 
