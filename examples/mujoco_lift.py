@@ -3,10 +3,10 @@
     pip install mujoco
     python examples/mujoco_lift.py --images out/lift
 
-MuJoCo has rigid fingers, and gives the peg's orientation and its force on the finger. For each tactile frame,
-the peg is moved in the simulated gel until the gel pushes and pulls with this force: `pressed_with` gives the
-first depth, and `advance` drags the gel on from the last frame. `Pipeline` then senses the images as those of a
-camera.
+MuJoCo has rigid fingers, and gives the peg's orientation and its force on the finger. For each tactile
+frame, the peg is moved in the simulated gel until the gel pushes and pulls with this force: `pressed_with`
+gives the first depth, and `advance` drags the gel on from the last frame. `Pipeline` then senses the images
+as those of a camera.
 """
 
 from __future__ import annotations

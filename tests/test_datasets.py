@@ -159,7 +159,7 @@ def test_what_cannot_be_done_says_why(samples: list[Sample], tmp_path: Path) -> 
     with pytest.raises(DatasetError, match="no sample"):
         write_npz([], tmp_path / "none")
     other = list(render(SIMULATOR, {**VARIED, "gel.rows": 10}, 1))
-    with pytest.raises(DatasetError, match="sample 0 is .*valid are scenes with the same"):
+    with pytest.raises(DatasetError, match=r"sample 0 is .*valid are scenes with the same"):
         write_npz([*samples[1:], *other], tmp_path / "mixed")
     (tmp_path / "taken").mkdir()
     with pytest.raises(ExportError, match="exists"):

@@ -203,7 +203,17 @@ PUBLIC_MODULES = [
         "parts",
         "point_files",
     ),
-    *("progress", "randomization", "recordings", "scattered", "setup", "streams", "templates", "tune", "view"),
+    *(
+        "progress",
+        "randomization",
+        "recordings",
+        "scattered",
+        "setup",
+        "streams",
+        "templates",
+        "tune",
+        "view",
+    ),
 ]
 
 

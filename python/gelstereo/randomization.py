@@ -330,7 +330,7 @@ def _is_range(value: Any, above: float = -math.inf) -> bool:
 def _uniform(table: dict[str, Any], numbers: _Numbers) -> float:
     low, high = table["uniform"]
     # The rounding of the sum may pass the end.
-    return min(low + (high - low) * numbers.uniform(), float(high))
+    return min(float(low + (high - low) * numbers.uniform()), float(high))
 
 
 def _normal(table: dict[str, Any], numbers: _Numbers) -> float:

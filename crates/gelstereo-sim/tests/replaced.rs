@@ -136,7 +136,8 @@ proptest! {
         let (from, to) = (scene(from), scene(to));
         let mut first = Simulator::new(&from, None).unwrap();
         let before = frame(&mut first, 1);
-        let _ = first.advance(from.trajectory.first().map(|key| key.contact.t_sensor_object), 0, &mut Truth::default());
+        let pose = from.trajectory.first().map(|key| key.contact.t_sensor_object);
+        let _ = first.advance(pose, 0, &mut Truth::default());
         let mut replaced = first.replaced(&to, None).unwrap();
         assert_same(&mut replaced, &mut Simulator::new(&to, None).unwrap());
         // The first one is as it was, and can be had again.

@@ -42,7 +42,8 @@ def write_npz(samples: Iterable[Sample], folder: str | Path, *, samples_per_file
     frames, number = 0, 0
     with new_folder(Path(folder)) as unfinished:
         for arrays in _groups(samples, samples_per_file):
-            np.savez_compressed(unfinished / f"{number:05}.npz", **arrays)
+            # NumPy's types take any keyword for its own.
+            np.savez_compressed(unfinished / f"{number:05}.npz", **arrays)  # type: ignore[arg-type]
             frames, number = frames + len(arrays["sample"]), number + 1
     return frames
 
@@ -115,7 +116,8 @@ def _check_alike(sample: Sample, first: Sample) -> None:
     found, expected = shapes(sample), shapes(first)
     for name in sorted({*found, *expected}):
         if found.get(name) != expected.get(name):
+            here, there = found.get(name, "missing"), expected.get(name, "missing")
             raise DatasetError(
-                f"{name} of sample {sample.index} is {found.get(name, 'missing')}, and {expected.get(name, 'missing')} "
-                f"in sample {first.index}; valid are scenes with the same image size, lattice and kind of gel"
+                f"{name} of sample {sample.index} is {here}, and {there} in sample {first.index}; valid are "
+                "scenes with the same image size, lattice and kind of gel"
             )

@@ -72,7 +72,7 @@ def _frames(sample: Sample) -> Iterator[RecordedFrame]:
     state = np.full(sample.rows * sample.cols, MarkerState.SEEN, dtype=np.uint8)
     for at, time_ns in enumerate(_times_ns(sample)):
         values = {name: array[at] for name, array in sample.frames.items()}
-        images = {view: values[view] for view in ("left", "right") if view in values}
+        images: dict[str, Array] = {view: values[view] for view in ("left", "right") if view in values}
         tactile = _tactile(values, sample.pitch_mm)
         yield RecordedFrame(time_ns, sample.rows, sample.cols, values["points_mm"], state, images, tactile)
 

@@ -37,8 +37,9 @@ def render(
 ) -> Iterator[Sample]:
     """Simulate random variations of a scene, one by one in the order of their numbers.
 
-    A sample depends on scene, distribution, seed and its number alone: the samples are the same for any number
-    of workers, and the first ones are the same for any count. Ctrl-C, or leaving the loop, stops all workers.
+    A sample depends on scene, distribution, seed and its number alone: the samples are the same for any
+    number of workers, and the first ones are the same for any count. Ctrl-C, or leaving the loop, stops all
+    workers.
 
     Parameters
     ----------

@@ -34,8 +34,8 @@ class Sample:
           rest; N = rows * cols, row by row
         - ``in_contact``: (T, N) bool
         - ``t_sensor_object``: (T, 4, 4), of a scene with a part
-        - with an elastic layer: ``traction_kpa`` (T, N, 3) and ``stick`` (T, N) uint8 (`gelstereo.Stick`), and
-          the wrench ``force_n`` and ``torque_nmm`` (T, 3), about the origin of the sensor frame
+        - with an elastic layer: ``traction_kpa`` (T, N, 3) and ``stick`` (T, N) uint8 (`gelstereo.Stick`),
+          and the wrench ``force_n`` and ``torque_nmm`` (T, 3), about the origin of the sensor frame
     rest : dict of ndarray
         ``left`` and ``right``, (H, W) uint8, and ``points_mm``, (N, 3): the same gel without contact.
     rows, cols : int
@@ -98,7 +98,7 @@ def simulate_sample(
 
 
 def _values(frame: SimulatedFrame, at_rest: SimulatedFrame, images: bool) -> dict[str, Array]:
-    out: dict[str, Array] = {"time_s": np.float64(frame.time_s)}  # type: ignore[dict-item]
+    out: dict[str, Array] = {"time_s": np.float64(frame.time_s)}
     if images:
         out |= {"left": frame.left, "right": frame.right}
     out |= {

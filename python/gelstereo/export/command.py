@@ -42,8 +42,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         const=True,
         type=Path,
         metavar="FILE",
-        help="also force at each marker, full and wrench: the images are sensed again, with the settings of the "
-        "recording or those of FILE (TOML, as by gelstereo calibrate-force)",
+        help="also force at each marker, full and wrench: the images are sensed again, with the settings of "
+        "the recording or those of FILE (TOML, as by gelstereo calibrate-force)",
     )
     parser.add_argument(
         "--images",

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from gelstereo.export.recording import ExportError, RecordedFrame
+from gelstereo.export.errors import ExportError
+from gelstereo.export.recording import RecordedFrame
 from gelstereo.extras import needs
 
 with needs(__name__):

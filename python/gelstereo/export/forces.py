@@ -40,8 +40,8 @@ def frames_with_forces(path: Path, settings: Params | None = None) -> Iterator[R
     tree = params.to_dict()
     if tree["force"]["method"] == "none":
         raise ExportError(
-            f"{path} was recorded without force.method; state the settings of the gel: --force FILE, where FILE "
-            "is that of gelstereo calibrate-force"
+            f"{path} was recorded without force.method; state the settings of the gel: --force FILE, where "
+            "FILE is that of gelstereo calibrate-force"
         )
     pipeline = Pipeline(rig_of(header), params)
     rest: Frame | None = None

@@ -14,9 +14,10 @@ from typing import Any
 
 from gelstereo._native import Params
 from gelstereo.export.episode import Episode, EpisodeWriter, Source
+from gelstereo.export.errors import ExportError
 from gelstereo.export.folder import new_folder
 from gelstereo.export.forces import frames_with_forces
-from gelstereo.export.recording import ExportError, frame_times_ns, recorded_frames
+from gelstereo.export.recording import frame_times_ns, recorded_frames
 from gelstereo.export.statistics import pooled
 from gelstereo.export.timeline import Timeline
 from gelstereo.extras import needs

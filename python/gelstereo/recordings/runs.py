@@ -97,8 +97,8 @@ class Recording:
             - ``x_mm``, ``y_mm``, ``z_mm``: the part's origin in the sensor frame
             - ``rx_rad``, ``ry_rad``, ``rz_rad``: rotation vector of the part in the sensor frame
             - ``sigma_`` and the name of these six: standard deviations, rotations about the sensor's axes
-            - ``fx_n``, ``fy_n``, ``fz_n``, ``tx_nmm``, ``ty_nmm``, ``tz_nmm``: force and torque of the part on
-              the gel, about the origin of the sensor frame; NaN without contact or without ``force.method``
+            - ``fx_n``, ``fy_n``, ``fz_n``, ``tx_nmm``, ``ty_nmm``, ``tz_nmm``: force and torque of the part
+              on the gel, about the origin of the sensor frame; NaN without contact or ``force.method``
             - ``slip``: ``unknown``, ``stuck``, ``incipient`` or ``gross``; empty without contact or without
               ``slip.method``
             - ``stick_ratio``: markers that stick over those known to stick or slip

@@ -90,7 +90,7 @@ impl Simulator {
     /// Parameters
     /// ----------
     /// distribution : Distribution or mapping or path
-    ///     What varies, and how: `gelstereo.randomization.Distribution`, its plain data, or a TOML file of it.
+    ///     What varies, and how: `gelstereo.randomization.Distribution`, its plain data, or a TOML file.
     /// seed : int
     ///     0 to 2^63 - 1. The same seed gives the same scene on every machine.
     ///
