@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from gelstereo.datasets.files import write_npz, write_zarr
-from gelstereo.datasets.render import DatasetError, render
+from gelstereo.datasets.rendering import DatasetError, render
 from gelstereo.datasets.sample import Sample, simulate_sample
 
 __all__ = ["DatasetError", "Sample", "render", "simulate_sample", "write_npz", "write_zarr"]

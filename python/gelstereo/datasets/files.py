@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from gelstereo.datasets.render import DatasetError
+from gelstereo.datasets.rendering import DatasetError
 from gelstereo.datasets.sample import Array, Sample
 from gelstereo.export.folder import new_folder
 from gelstereo.extras import needs
