@@ -69,7 +69,7 @@ impl LayerContact {
     fn __repr__(&self) -> String {
         let contact = self.inner.lock().unwrap_or_else(PoisonError::into_inner);
         let (Layer { thickness_mm, poisson_ratio }, grid) = (contact.layer(), contact.grid());
-        let Grid { rows, cols, cell_mm } = grid;
+        let Grid { rows, cols, cell_mm: [cell_mm, _] } = grid;
         format!(
             "<LayerContact: {rows} x {cols} cells of {cell_mm} mm on a layer {thickness_mm} mm thick, \
              Poisson's ratio {poisson_ratio}>"
@@ -86,7 +86,8 @@ impl LayerContact {
         cell_mm: f64,
         friction: f64,
     ) -> PyResult<Self> {
-        let (layer, grid) = (Layer { thickness_mm, poisson_ratio }, Grid { rows, cols, cell_mm });
+        let (layer, grid) =
+            (Layer { thickness_mm, poisson_ratio }, Grid { rows, cols, cell_mm: [cell_mm; 2] });
         let inner = Contact::new(layer, grid, friction).map_err(raise)?;
         Ok(Self { inner: Mutex::new(inner) })
     }

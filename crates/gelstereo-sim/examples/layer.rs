@@ -66,7 +66,7 @@ fn ball(grid: Grid, depth: f64, x: f64) -> Vec<f64> {
                 (i % grid.cols) as f64 - middle(grid.cols),
                 (i / grid.cols) as f64 - middle(grid.rows),
             );
-            let r2 = (at * grid.cell_mm - DVec2::new(x, 0.0)).length_squared();
+            let r2 = (at * grid.cell_mm[0] - DVec2::new(x, 0.0)).length_squared();
             if r2 < 16.0 { depth - 4.0 + (16.0 - r2).sqrt() } else { f64::NEG_INFINITY }
         })
         .collect()
@@ -79,7 +79,7 @@ fn solves() {
     );
     for (cells, friction) in [(2, 0.0), (4, 0.0), (2, 0.8)] {
         let (side, cell_mm) = (28 * cells + 1, 0.9 / cells as f64);
-        let grid = Grid { rows: side, cols: side, cell_mm };
+        let grid = Grid { rows: side, cols: side, cell_mm: [cell_mm; 2] };
         let layer = Layer { thickness_mm: 5.0, poisson_ratio: 0.48 };
         let set_up = Instant::now();
         let mut contact = LayerContact::new(layer, grid, friction).unwrap();

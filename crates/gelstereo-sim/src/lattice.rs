@@ -8,7 +8,8 @@ use gelstereo_core::math::{DVec2, cos, sin};
 pub(crate) struct Lattice {
     pub(crate) rows: usize,
     pub(crate) cols: usize,
-    pub(crate) pitch_mm: f64,
+    /// Distance of neighbours along a row and along a column.
+    pub(crate) pitch_mm: [f64; 2],
     pub(crate) thickness_mm: f64,
     /// Unit vectors along a row and along a column, sensor x and y.
     pub(crate) axes: [DVec2; 2],
@@ -18,13 +19,17 @@ impl Lattice {
     pub(crate) fn new(gel: &Gel) -> Self {
         let (s, c) = (sin(gel.rotation_rad), cos(gel.rotation_rad));
         let axes = [DVec2::new(c, s), DVec2::new(-s, c)];
-        Self { rows: gel.rows, cols: gel.cols, pitch_mm: gel.pitch_mm, thickness_mm: gel.thickness_mm, axes }
+        let Gel { rows, cols, thickness_mm, .. } = *gel;
+        Self { rows, cols, pitch_mm: gel.pitch_mm.axes_mm(), thickness_mm, axes }
     }
 
     /// Rest position of a marker, sensor x and y.
     pub(crate) fn marker_mm(&self, centre_mm: DVec2, row: usize, col: usize) -> DVec2 {
-        let from_middle = |i: usize, n: usize| (i as f64 - 0.5 * (n as f64 - 1.0)) * self.pitch_mm;
-        centre_mm + self.axes[0] * from_middle(col, self.cols) + self.axes[1] * from_middle(row, self.rows)
+        let from_middle = |i: usize, n: usize| i as f64 - 0.5 * (n as f64 - 1.0);
+        let [x_mm, y_mm] = self.pitch_mm;
+        centre_mm
+            + self.axes[0] * (from_middle(col, self.cols) * x_mm)
+            + self.axes[1] * (from_middle(row, self.rows) * y_mm)
     }
 
     /// Rest positions of all markers, sensor x and y.
@@ -44,11 +49,16 @@ impl Lattice {
         [pair(col, self.cols, 1), pair(row, self.rows, self.cols)]
     }
 
+    /// Squares of a length in pitches along a row and along a column.
+    pub(crate) fn squared_pitches(&self, length_mm: f64) -> [f64; 2] {
+        self.pitch_mm.map(|mm| (length_mm / mm) * (length_mm / mm))
+    }
+
     /// Gradient of a field in sensor x and y, by central differences (one-sided at the border).
     pub(crate) fn gradient(&self, field: &[f64], index: usize) -> DVec2 {
         let [(left, right, across), (up, down, along)] = self.neighbours(index);
-        let per_mm = 1.0 / self.pitch_mm;
-        self.axes[0] * ((field[right] - field[left]) * per_mm / across)
-            + self.axes[1] * ((field[down] - field[up]) * per_mm / along)
+        let per_mm = self.pitch_mm.map(|mm| 1.0 / mm);
+        self.axes[0] * ((field[right] - field[left]) * per_mm[0] / across)
+            + self.axes[1] * ((field[down] - field[up]) * per_mm[1] / along)
     }
 }

@@ -2,9 +2,9 @@
 //!
 //! On a lattice with free borders, the eigenvectors of the difference operator u - l² Δu are the cosines
 //! cos(π k (i + ½) / n) along each axis (Strang 1999). Its eigenvalues are
-//! 1 + l² (4 - 2 cos(π k / rows) - 2 cos(π m / cols)). So a field is solved by a cosine
-//! transform, a division and the inverse transform. These are products with four small matrices, whatever
-//! the length l.
+//! 1 + l² (4 - 2 cos(π k / rows) - 2 cos(π m / cols)), with l in pitches of each axis. So a field is
+//! solved by a cosine transform, a division and the inverse transform. These are products with four small
+//! matrices, whatever the length l.
 
 use alloc::vec::Vec;
 use gelstereo_core::math::{cos, sqrt};
@@ -23,11 +23,13 @@ pub(crate) struct Membranes {
 }
 
 impl Membranes {
-    /// Decay lengths in pitches.
-    pub(crate) fn new([rows, cols]: [usize; 2], lengths: &[f64]) -> Self {
+    /// Squared decay lengths in pitches along a row and along a column.
+    pub(crate) fn new([rows, cols]: [usize; 2], squares: &[[f64; 2]]) -> Self {
         let bend = |k: usize, n: usize| 2.0 - 2.0 * cos(core::f64::consts::PI * k as f64 / n as f64);
-        let gain = |bend: f64| lengths.iter().map(|l| 1.0 / (1.0 + l * l * bend)).product();
-        let gains = (0..rows * cols).map(|i| gain(bend(i / cols, rows) + bend(i % cols, cols))).collect();
+        let gain = |down: f64, across: f64| {
+            squares.iter().map(|[x, y]| 1.0 / (1.0 + x * (y / x * down + across))).product()
+        };
+        let gains = (0..rows * cols).map(|i| gain(bend(i / cols, rows), bend(i % cols, cols))).collect();
         let [along, back] = cosines(cols);
         Self { rows, cols, down: cosines(rows), across: [back, along], gains }
     }
@@ -89,7 +91,8 @@ mod tests {
         ) {
             let mut found = heights[..rows * cols].to_vec();
             let mut relaxed = found.clone();
-            Membranes::new([rows, cols], &[first, second]).settle(&mut found, &mut Vec::new());
+            let squares = [first, second].map(|length| [length * length; 2]);
+            Membranes::new([rows, cols], &squares).settle(&mut found, &mut Vec::new());
             for length in [first, second] {
                 let source = relaxed.clone();
                 plainly_relaxed([rows, cols], length, &mut relaxed, |i| source[i], |_, u| u);

@@ -63,7 +63,10 @@ pub(crate) struct Screened<U> {
     half: usize,
     /// Upper bound of the spectral radius of Jacobi's method: that of a constant field.
     jacobi: f64,
-    /// Per colour: l² / (1 + n l²) for nodes with n neighbours; 0 in the padding.
+    /// Weight of a neighbour along a column beside one along a row: the squared ratio of their distances.
+    down: f64,
+    /// Per colour: l² / (1 + n l²) for nodes with n neighbours, those along a column by their weight; 0 in
+    /// the padding.
     weights: [Vec<U>; 2],
     /// Node values, with zeros for the neighbours above the first row and below the last.
     nodes: [Vec<U>; 2],
@@ -73,17 +76,18 @@ pub(crate) struct Screened<U> {
 
 impl<U: Node> Screened<U> {
     pub(crate) fn new(lattice: &Lattice, length_mm: f64) -> Self {
-        let (rows, cols, reach) = (lattice.rows, lattice.cols, length_mm / lattice.pitch_mm);
-        let (l2, half) = (reach * reach, cols.div_ceil(2));
+        let (rows, cols, [l2, below]) = (lattice.rows, lattice.cols, lattice.squared_pitches(length_mm));
+        let (down, half) = (below / l2, cols.div_ceil(2));
         let places = (rows * (2 * half + 1)).div_ceil(2).next_multiple_of(LANES);
         let zeros = |places: usize| [0, 1].map(|_| vec![U::even(0.0); places]);
         let (weights, nodes, held) = (zeros(places), zeros(places + 2 * (half + 1)), zeros(places));
-        let jacobi = 4.0 * l2 / (1.0 + 4.0 * l2);
-        let mut new = Self { rows, cols, half, jacobi, weights, nodes, held };
-        let beside = |at: usize, n: usize| usize::from(at > 0) + usize::from(at + 1 < n);
+        let all = 2.0 + 2.0 * down;
+        let jacobi = all * l2 / (1.0 + all * l2);
+        let mut new = Self { rows, cols, half, jacobi, down, weights, nodes, held };
+        let beside = |at: usize, n: usize| (usize::from(at > 0) + usize::from(at + 1 < n)) as f64;
         let weight = |i: usize| {
-            let count = beside(i / cols, rows) + beside(i % cols, cols);
-            U::even(l2 / (1.0 + l2 * count as f64))
+            let count = down * beside(i / cols, rows) + beside(i % cols, cols);
+            U::even(l2 / (1.0 + l2 * count))
         };
         put([rows, cols, half], weight, &mut new.weights, 0);
         new
@@ -145,7 +149,7 @@ impl<U: Node> Screened<U> {
     /// Moves the nodes of one colour by `over` times the distance to the balance of their neighbours.
     /// Returns the longest step.
     fn balance(&mut self, colour: usize, over: f64, rule: impl Fn(f64, f64, f64) -> f64) -> U {
-        let (half, places) = (self.half, self.weights[colour].len());
+        let (half, down, places) = (self.half, self.down, self.weights[colour].len());
         let [even, odd] = &mut self.nodes;
         let (mine, other) = if colour == 0 { (even, odd) } else { (odd, even) };
         // Place p is node p / 2 of its colour, and a row is 2 half + 1 places long.
@@ -161,7 +165,7 @@ impl<U: Node> Screened<U> {
             for (k, next) in next.iter_mut().enumerate() {
                 let near = [left[k], right[k], above[k], below[k], weight[k], *next, held[k]];
                 *next = U::each(near, |[left, right, above, below, weight, here, held]| {
-                    let sum = (left + right) + (above + below);
+                    let sum = (left + right) + (above + below) * down;
                     rule(here, (sum * weight - here) * over, held)
                 });
             }
@@ -246,7 +250,7 @@ pub(crate) mod tests {
     }
 
     fn screened<U: Node>([rows, cols]: [usize; 2], length: f64) -> Screened<U> {
-        Screened::new(&Lattice::new(&Gel { rows, cols, pitch_mm: 1.0, ..Gel::default() }), length)
+        Screened::new(&Lattice::new(&Gel { rows, cols, pitch_mm: 1.0.into(), ..Gel::default() }), length)
     }
 
     proptest! {

@@ -29,6 +29,7 @@ mod pipeline;
 mod plan;
 mod plan_bounds;
 mod print;
+mod rectangular;
 mod relaxation;
 mod render;
 mod replaced;

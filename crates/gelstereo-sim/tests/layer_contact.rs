@@ -10,7 +10,7 @@ const NOTHING: f64 = f64::NEG_INFINITY;
 
 fn contact(thickness_mm: f64, poisson_ratio: f64, cells: usize, cell_mm: f64) -> LayerContact {
     let layer = Layer { thickness_mm, poisson_ratio };
-    LayerContact::new(layer, Grid { rows: cells, cols: cells, cell_mm }, 0.0).unwrap()
+    LayerContact::new(layer, Grid { rows: cells, cols: cells, cell_mm: [cell_mm; 2] }, 0.0).unwrap()
 }
 
 fn part(heights_mm: &[f64]) -> Part<'_> {
@@ -23,7 +23,7 @@ fn distances(grid: Grid, [x, y]: [f64; 2]) -> Vec<f64> {
     (0..grid.rows * grid.cols)
         .map(|i| {
             let (row, col) = ((i / grid.cols) as f64, (i % grid.cols) as f64);
-            hypot(col - middle(grid.cols) - x, row - middle(grid.rows) - y) * grid.cell_mm
+            hypot(col - middle(grid.cols) - x, row - middle(grid.rows) - y) * grid.cell_mm[0]
         })
         .collect()
 }
@@ -34,7 +34,7 @@ fn ball(distances: &[f64], radius: f64, depth: f64) -> Vec<f64> {
 }
 
 fn force(contact: &LayerContact) -> f64 {
-    contact.pressure().iter().sum::<f64>() * contact.grid().cell_mm * contact.grid().cell_mm
+    contact.pressure().iter().sum::<f64>() * contact.grid().cell_mm.iter().product::<f64>()
 }
 
 /// Whether pressures and heights solve the contact problem within `slack` mm: nothing pulls, no cell overlaps
@@ -159,7 +159,7 @@ fn row_26_no_overlap_full_overlap_a_single_cell_and_release() {
 
 #[test]
 fn bad_input_is_refused() {
-    let grid = Grid { rows: 8, cols: 8, cell_mm: 0.5 };
+    let grid = Grid { rows: 8, cols: 8, cell_mm: [0.5; 2] };
     let layer = Layer { thickness_mm: 5.0, poisson_ratio: 0.5 };
     for bad in [-0.1, 0.51, f64::NAN] {
         assert!(LayerContact::new(Layer { poisson_ratio: bad, ..layer }, grid, 0.0).is_err());
@@ -167,7 +167,7 @@ fn bad_input_is_refused() {
     for bad in [0.0, -1.0, f64::NAN, f64::INFINITY] {
         assert!(LayerContact::new(Layer { thickness_mm: bad, ..layer }, grid, 0.0).is_err());
     }
-    for bad in [Grid { rows: 0, ..grid }, Grid { cols: 257, ..grid }, Grid { cell_mm: 5.1, ..grid }] {
+    for bad in [Grid { rows: 0, ..grid }, Grid { cols: 257, ..grid }, Grid { cell_mm: [0.5, 5.1], ..grid }] {
         assert!(LayerContact::new(layer, bad, 0.0).is_err());
     }
     let mut contact = LayerContact::new(layer, grid, 0.0).unwrap();

@@ -11,7 +11,7 @@ const CELLS: usize = 64;
 
 fn contact(layer: (f64, f64), cell_mm: f64, friction: f64) -> LayerContact {
     let layer = Layer { thickness_mm: layer.0, poisson_ratio: layer.1 };
-    LayerContact::new(layer, Grid { rows: CELLS, cols: CELLS, cell_mm }, friction).unwrap()
+    LayerContact::new(layer, Grid { rows: CELLS, cols: CELLS, cell_mm: [cell_mm; 2] }, friction).unwrap()
 }
 
 /// Centre of a cell, from the grid's middle.

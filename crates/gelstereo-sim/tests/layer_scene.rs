@@ -176,7 +176,7 @@ proptest! {
         depth in 0.1..1.2_f64, turn in -1.6..1.6_f64, x in -8.0..8.0_f64, shear in -0.4..0.4_f64,
         twist in -0.1..0.1_f64, refined in any::<bool>(),
     ) {
-        let gel = Gel { rows: 13, cols: 15, pitch_mm: 1.4, ..Gel::default() };
+        let gel = Gel { rows: 13, cols: 15, pitch_mm: 1.4.into(), ..Gel::default() };
         let mut scene = Scene { gel, ..with_effects(shape.clone(), layered(poisson_ratio, friction)) };
         let contact = ContactState {
             shear_mm: [shear, 0.5 * shear],

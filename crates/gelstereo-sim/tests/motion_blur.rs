@@ -57,7 +57,7 @@ fn scene(exposure_s: f64, shift_mm: f64, turn_rad: f64, dive_mm: f64, effects: E
     Scene {
         frame_rate_hz: RATE_HZ,
         rig: gelstereo_core::rig::Rig::parallel(camera, 6.0),
-        gel: Gel { rows: 9, cols: 9, pitch_mm: 1.3, dot_radius_mm: 0.35, ..Gel::default() },
+        gel: Gel { rows: 9, cols: 9, pitch_mm: 1.3.into(), dot_radius_mm: 0.35, ..Gel::default() },
         indenter: Some(Shape::Sphere { radius_mm: 4.0 }),
         trajectory: trajectory.into(),
         gel_motion: gel_motion.into(),

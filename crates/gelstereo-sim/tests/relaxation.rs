@@ -121,7 +121,7 @@ fn visits() -> impl Strategy<Value = Scene> {
     let ways = prop::collection::vec((-0.4..1.2_f64, -2.0..2.0_f64, -0.3..0.3_f64, -0.1..0.1_f64), 2..5);
     (layer, term, prop::bool::weighted(0.2), ways).prop_map(
         |((poisson_ratio, friction), term, large, ways)| {
-            let gel = Gel { rows: 9, cols: 11, pitch_mm: 1.4, ..Gel::default() };
+            let gel = Gel { rows: 9, cols: 11, pitch_mm: 1.4.into(), ..Gel::default() };
             let bare = Scene { gel, frame_rate_hz: 10.0, ..with_effects(SPHERE, Effects::default()) };
             let contact = |&(depth_mm, x, shear, twist_rad): &(f64, f64, f64, f64)| ContactState {
                 shear_mm: [shear, -0.5 * shear],

@@ -12,7 +12,7 @@ use proptest::prelude::*;
 
 /// Four dots, 4.5 mm (88 px) apart.
 fn sparse() -> Scene {
-    Scene { gel: Gel { rows: 2, cols: 2, pitch_mm: 4.5, ..Gel::default() }, ..Scene::default() }
+    Scene { gel: Gel { rows: 2, cols: 2, pitch_mm: 4.5.into(), ..Gel::default() }, ..Scene::default() }
 }
 
 fn with(effects: Effects) -> Scene {

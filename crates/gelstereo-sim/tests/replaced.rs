@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used)]
 
 use gelstereo_core::math::{DVec3, Pose};
+use gelstereo_core::params::Pitch;
 use gelstereo_sim::effects::{
     Defocus, ElasticLayer, Grain, Jpeg, Misprint, MotionBlur, Relaxation, SensorNoise, ShotNoise, Shoulder,
     Smears, Specks, Spread, UnevenLight, Wear,
@@ -19,7 +20,7 @@ fn base() -> Scene {
         (camera.width_px, camera.height_px) = (128, 96);
     }
     (scene.gel.rows, scene.gel.cols) = (7, 8);
-    scene.gel.pitch_mm = 1.8;
+    scene.gel.pitch_mm = 1.8.into();
     let t_sensor_object = Pose::from_translation_mm(DVec3::new(4.0, 0.0, 32.0));
     let contact = ContactState { t_sensor_object, shear_mm: [0.2, 0.1], twist_rad: 0.1 };
     scene.indenter = Some(Shape::Sphere { radius_mm: 4.0 });
@@ -84,7 +85,7 @@ fn changes() -> Vec<Change> {
         Box::new(approximate),
         Box::new(|scene| scene.seed = 2),
         Box::new(|scene| scene.gel.thickness_mm = 4.0),
-        Box::new(|scene| scene.gel.pitch_mm = 1.7),
+        Box::new(|scene| scene.gel.pitch_mm = Pitch { x_mm: 1.7, y_mm: 1.9 }),
         Box::new(|scene| scene.gel.rows = 8),
         Box::new(|scene| scene.gel.bright_dots = true),
         Box::new(|scene| scene.gel.bright_level = 190),

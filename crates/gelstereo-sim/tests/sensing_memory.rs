@@ -119,7 +119,7 @@ fn row_35_memory_is_bounded_for_every_preset_and_lattice() {
                 let is_light = search == Search::Whole || params.detect.centre != Centre::Fit;
                 let most = if is_small(size, markers, is_light) { MOST } else { MAX_OF_LARGER };
                 params.detect.search = search;
-                params.lattice.pitch_mm = scene.gel.pitch_mm.into();
+                params.lattice.pitch_mm = scene.gel.pitch_mm;
                 let bytes = most_held(&scene, &pairs, &params);
                 println!("{size}, {markers} x {markers}, {preset} {search:?}: {bytes} bytes");
                 assert!(bytes < most, "{size}, {markers} x {markers}, {preset} {search:?}: {bytes} bytes");

@@ -207,7 +207,7 @@ fn any_turn_of_the_lattice() {
         .map(|degrees| {
             let mut scene = scene();
             // Smaller, so that no corner leaves the image.
-            (scene.gel.pitch_mm, scene.gel.dot_radius_mm) = (0.62, 0.16);
+            (scene.gel.pitch_mm, scene.gel.dot_radius_mm) = (0.62.into(), 0.16);
             scene.gel.rotation_rad = f64::from(degrees).to_radians();
             let mut camera = Camera::new(&scene);
             let shots: Vec<Shot> =

@@ -95,7 +95,7 @@ fn the_finest_print_is_seen_whole_at_rest() {
     simulator.render(&truth, 0, left, right);
     for preset in ["fast", "balanced", "exact"] {
         let mut params = Params::preset(preset).unwrap();
-        params.lattice.pitch_mm = scene.gel.pitch_mm.into();
+        params.lattice.pitch_mm = scene.gel.pitch_mm;
         let mut pipeline = Pipeline::new(&scene.rig, &params).unwrap();
         assert_eq!(process(&mut pipeline, &pair, &mut frame), WHOLE);
         let seen = frame.state.iter().filter(|&&state| state == MarkerState::Seen).count();
@@ -115,7 +115,7 @@ fn a_jump_by_more_than_a_pitch_is_noticed_in_windows() {
         let scene = Scene { gel_motion, ..scene() };
         let mut simulator = Simulator::new(&scene, None).unwrap();
         let mut params = params(LabelMethod::Lattice, Search::Windows);
-        params.lattice.pitch_mm = scene.gel.pitch_mm.into();
+        params.lattice.pitch_mm = scene.gel.pitch_mm;
         let mut pipeline = Pipeline::new(&scene.rig, &params).unwrap();
         let (mut truth, mut frame, mut pair) = (Truth::default(), Frame::default(), Pair::default());
         let mut all = Vec::new();
@@ -173,7 +173,7 @@ fn dense_lattices_are_searched_in_windows() {
     let indenter = Some(Shape::Sphere { radius_mm: 6.0 });
     let scene = Scene { indenter, effects, ..Scene::preset("1280x720-71").unwrap() };
     let mut params = params(LabelMethod::Lattice, Search::Windows);
-    params.lattice.pitch_mm = scene.gel.pitch_mm.into();
+    params.lattice.pitch_mm = scene.gel.pitch_mm;
     let (mut simulator, mut pipeline) =
         (Simulator::new(&scene, None).unwrap(), Pipeline::new(&scene.rig, &params).unwrap());
     let (mut truth, mut frame) = (Truth::default(), Frame::default());

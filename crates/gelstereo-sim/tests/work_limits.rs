@@ -39,7 +39,7 @@ fn shots(seed: u64, jumps: bool) -> (Scene, Vec<Shot>) {
     let shots = PRESSES_MM.into_iter().zip(SHIFTS).enumerate().map(|(k, (press_mm, shift))| {
         let mut moved = scene.clone();
         if jumps {
-            moved.gel.centre_mm[0] += shift * moved.gel.pitch_mm;
+            moved.gel.centre_mm[0] += shift * moved.gel.pitch_mm.x_mm;
         }
         let mut simulator = Simulator::new(&moved, None).unwrap();
         let pose = Pose::from_translation_mm(DVec3::new(4.0, 0.0, 40.0));

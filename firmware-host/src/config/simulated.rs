@@ -120,13 +120,13 @@ impl SimulatedConfig {
 
     /// Checks that the pipeline expects the simulated gel.
     pub(super) fn validate_against(&self, params: &Params) -> Result<(), ConfigError> {
-        let (expected, printed_mm) = (params.lattice.pitch_mm, self.gel.pitch_mm);
-        let differs = |mm: f64| (mm / printed_mm).max(printed_mm / mm) > MAX_PITCH_RATIO;
-        if expected.axes_mm().into_iter().any(differs) {
+        let (expected, printed) = (params.lattice.pitch_mm, self.gel.pitch_mm);
+        let differs = |(mm, printed_mm): (f64, f64)| (mm / printed_mm).max(printed_mm / mm) > MAX_PITCH_RATIO;
+        if expected.axes_mm().into_iter().zip(printed.axes_mm()).any(differs) {
             return Err(ConfigError::Contradiction {
                 name: "params.lattice.pitch_mm",
                 found: format!("{expected} mm"),
-                other: format!("simulated.gel.pitch_mm is {printed_mm} mm"),
+                other: format!("simulated.gel.pitch_mm is {printed} mm"),
                 advice: "make them agree to a tenth",
             });
         }

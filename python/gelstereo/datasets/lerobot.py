@@ -77,11 +77,11 @@ def _frames(sample: Sample) -> Iterator[RecordedFrame]:
         yield RecordedFrame(time_ns, sample.rows, sample.cols, values["points_mm"], state, images, tactile)
 
 
-def _tactile(values: dict[str, Array], pitch_mm: float) -> dict[str, Array]:
+def _tactile(values: dict[str, Array], pitch_mm: float | list[float]) -> dict[str, Array]:
     out: dict[str, Array] = {}
     if "traction_kpa" in values:
         # A traction is the mean over the square around its marker.
-        force_n = values["traction_kpa"] * (pitch_mm**2 * _N_PER_KPA_MM2)
+        force_n = values["traction_kpa"] * (np.prod(np.broadcast_to(pitch_mm, 2)) * _N_PER_KPA_MM2)
         out["force"] = force_n
         out["full"] = np.hstack([values["displacement_mm"], force_n])
         out["wrench"] = np.concatenate([values["force_n"], values["torque_nmm"]])

@@ -40,7 +40,9 @@ class Sample:
         ``left`` and ``right``, (H, W) uint8, and ``points_mm``, (N, 3): the same gel without contact.
     rows, cols : int
         Lattice of the markers.
-    pitch_mm, frame_rate_hz : float
+    pitch_mm : float or [float, float]
+        Of the drawn scene; two numbers of a rectangular print.
+    frame_rate_hz : float
         Of the drawn scene.
     """
 
@@ -50,7 +52,7 @@ class Sample:
     rest: dict[str, Array]
     rows: int
     cols: int
-    pitch_mm: float
+    pitch_mm: float | list[float]
     frame_rate_hz: float
 
 

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from gelstereo._native import Error, Params, Rig, Scene, parse_toml
 
 __all__ = ["Sensor", "SensorFileError", "load_sensor", "sensor_text"]
@@ -40,13 +38,10 @@ class Sensor:
     def scene(self) -> Scene:
         """The sensor as a scene of the simulator, at rest: its cameras, layers, print and noise.
 
-        Add an indenter, a trajectory and effects by `Scene.replace`. The gel's law is the simulator's. The
-        simulator has square prints: a rectangular one is simulated with cells of the same area, for which
-        the pipeline's `lattice.pitch_mm` is that of the scene.
+        Add an indenter, a trajectory and effects by `Scene.replace`. The gel's law is the simulator's.
         """
         names = ("rows", "cols", "pitch_mm", "dot_radius_mm", "surface_mm", "centre_mm")
         gel = {name: self.gel[name] for name in names}
-        gel["pitch_mm"] = float(np.sqrt(np.prod(np.broadcast_to(gel["pitch_mm"], (2,)))))
         effects = {"defocus": {}, "sensor_noise": {"sigma_levels": self.gel["noise_levels"]}}
         bright = self.params.to_dict()["detect"]["polarity"] == "bright"
         return Scene().replace(

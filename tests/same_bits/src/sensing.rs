@@ -140,7 +140,7 @@ pub fn sensors(out: &mut Digests) -> Outcome<()> {
         let Scene { effects, indenter, .. } = scene();
         let scene = Scene { effects, indenter, ..bare };
         let mut params = preset("balanced")?;
-        params.lattice.pitch_mm = scene.gel.pitch_mm.into();
+        params.lattice.pitch_mm = scene.gel.pitch_mm;
         let mut sensor = crate::sensor::Sensor::new(&scene, &crate::part::wedge()?)?;
         let pairs = [0.0, 0.7].map(|press_mm| sensor.press(press_mm, 0.0).map(|(pair, _)| pair));
         let pairs = pairs.into_iter().collect::<Outcome<Vec<Pair>>>()?;

@@ -78,16 +78,16 @@ impl Equations {
     /// Adds the influence of one cell on the marker in this row and column.
     fn add_cell(&mut self, influence: &Influence, cell: &Cell, (row, col): (usize, usize)) {
         let (down, right) = (row.abs_diff(cell.row), col.abs_diff(cell.col));
-        let (i, transposed) = (down * influence.side + right, right * influence.side + down);
+        let i = down * influence.side + right;
         let sign = |is_before: bool| if is_before { -1.0 } else { 1.0 };
         let (x, y) = (sign(col < cell.col), sign(row < cell.row));
-        let (aside_x, aside_y) = (x * influence.cross[i], y * influence.cross[transposed]);
+        let (aside_x, aside_y) = (x * influence.cross[0][i], y * influence.cross[1][i]);
         let across = x * y * influence.across[i];
         let effects = [
             // The two cross terms are transposes (Betti), and odd: hence the sign.
             [influence.normal[i], -aside_x, -aside_y],
-            [aside_x, influence.along[i], across],
-            [aside_y, across, influence.along[transposed]],
+            [aside_x, influence.along[0][i], across],
+            [aside_y, across, influence.along[1][i]],
         ];
         for (list, effect) in self.rows.iter_mut().zip(effects) {
             list[3 * cell.block..][..3].iter_mut().zip(effect).for_each(|(sum, effect)| *sum += effect);

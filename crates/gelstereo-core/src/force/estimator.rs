@@ -112,7 +112,7 @@ impl ForceEstimator {
         let mut made = Self {
             params: params.clone(),
             young_kpa,
-            influence: Influence::new(&layer, pitch_mm, side),
+            influence: Influence::new(&layer, [pitch_mm; 2], side),
             thickness_mm,
             rest: rest.clone(),
             rest_covariance_mm2: rest_covariance_mm2.to_vec(),

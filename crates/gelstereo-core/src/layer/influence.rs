@@ -11,79 +11,85 @@ use alloc::vec::Vec;
 use core::f64::consts::PI;
 
 /// Motion at offsets (column, row) in cells, both from 0 to `side - 1`, row-major, for a traction of one
-/// Young's modulus on the square cell at 0. Negative offsets follow by symmetry.
+/// Young's modulus on the rectangular cell at 0. Negative offsets follow by symmetry.
 #[derive(Clone, Debug)]
 pub struct Influence {
     /// Number of offsets along each axis.
     pub side: usize,
     /// Into the layer under a pressure; even along both axes.
     pub normal: Vec<f64>,
-    /// Along x under a pressure; odd along x, even along y. Its transpose is the motion along y.
-    pub cross: Vec<f64>,
-    /// Along x under a traction along x; even along both axes. Its transpose is the y counterpart.
-    pub along: Vec<f64>,
+    /// Along x and along y under a pressure; each odd along its own axis, even along the other.
+    pub cross: [Vec<f64>; 2],
+    /// Along x under a traction along x, and along y under one along y; even along both axes.
+    pub along: [Vec<f64>; 2],
     /// Along y under a traction along x, and the reverse; odd along both axes.
     pub across: Vec<f64>,
 }
 
 impl Influence {
-    /// For square cells of side `cell_mm` and offsets of up to `side` cells.
-    pub fn new(layer: &Layer, cell_mm: f64, side: usize) -> Self {
+    /// For cells of sides `cell_mm` along x and y and offsets of up to `side` cells.
+    pub fn new(layer: &Layer, cell_mm: [f64; 2], side: usize) -> Self {
         let mut influence = Self::of_half_space(layer, cell_mm, side);
-        let rest = Radials::new(layer, cell_mm, side as f64 * cell_mm);
-        for row in 0..side {
-            for col in 0..=row {
-                let (x, y) = (col as f64 * cell_mm, row as f64 * cell_mm);
-                let r = sqrt(x * x + y * y);
-                let Radial { normal, cross, mean, split } = rest.at(r);
-                let (cosine, sine) = if r > 0.0 { (x / r, y / r) } else { (0.0, 0.0) };
-                let (double_cosine, double_sine) = (cosine * cosine - sine * sine, 2.0 * cosine * sine);
-                let (i, transposed) = (row * side + col, col * side + row);
-                // The diagonal is its own transpose.
-                let places = [(i, cosine, double_cosine), (transposed, sine, -double_cosine)];
-                for &(i, cosine, double_cosine) in &places[..1 + usize::from(row != col)] {
-                    influence.normal[i] += normal;
-                    influence.cross[i] += cross * cosine;
-                    influence.along[i] += mean - split * double_cosine;
-                    influence.across[i] -= split * double_sine;
-                }
+        let rest = Radials::new(layer, cell_mm, side);
+        for (i, (row, col)) in (0..side).flat_map(|row| (0..side).map(move |col| (row, col))).enumerate() {
+            let (x, y) = (col as f64 * cell_mm[0], row as f64 * cell_mm[1]);
+            for [aside, down] in squares(cell_mm) {
+                influence.add(i, (x + aside, y + down), &rest);
             }
         }
         influence
     }
 
-    fn of_half_space(layer: &Layer, cell_mm: f64, side: usize) -> Self {
+    /// Adds the remainder of one of the squares of a cell.
+    fn add(&mut self, i: usize, (x, y): (f64, f64), rest: &Radials) {
+        let r = sqrt(x * x + y * y);
+        let Radial { normal, cross, mean, split } = rest.at(r);
+        let (cosine, sine) = if r > 0.0 { (x / r, y / r) } else { (0.0, 0.0) };
+        let (double_cosine, double_sine) = (cosine * cosine - sine * sine, 2.0 * cosine * sine);
+        self.normal[i] += normal;
+        self.cross[0][i] += cross * cosine;
+        self.cross[1][i] += cross * sine;
+        self.along[0][i] += mean - split * double_cosine;
+        self.along[1][i] += mean + split * double_cosine;
+        self.across[i] -= split * double_sine;
+    }
+
+    fn of_half_space(layer: &Layer, cell_mm: [f64; 2], side: usize) -> Self {
         let nu = layer.poisson_ratio;
-        let corners: Vec<[f64; 4]> = (0..(side + 1) * (side + 1))
+        let corners: Vec<[f64; 5]> = (0..(side + 1) * (side + 1))
             .map(|i| {
-                let corner = |n: usize| (n as f64 - 0.5) * cell_mm;
-                integrals(corner(i % (side + 1)), corner(i / (side + 1)))
+                let corner = |n: usize, axis: usize| (n as f64 - 0.5) * cell_mm[axis];
+                integrals(corner(i % (side + 1), 0), corner(i / (side + 1), 1))
             })
             .collect();
         let over_cell = |row: usize, col: usize| {
             let at = |row: usize, col: usize| corners[row * (side + 1) + col];
             let [a, b, c, d] = [at(row, col), at(row, col + 1), at(row + 1, col), at(row + 1, col + 1)];
-            [0, 1, 2, 3].map(|n| (d[n] - b[n]) - (c[n] - a[n]))
+            // Rows and columns round alike.
+            let along_x = [0, 1, 2, 3, 4].map(|n| (d[n] - b[n]) - (c[n] - a[n]));
+            [along_x, [0, 1, 2, 3, 4].map(|n| (d[n] - c[n]) - (b[n] - a[n]))]
         };
         let pressed = (1.0 - nu * nu) / PI;
         let aside = -(1.0 + nu) * (1.0 - 2.0 * nu) / (2.0 * PI);
         let sheared = (1.0 + nu) / PI;
-        let mut influence =
-            Self { side, normal: Vec::new(), cross: Vec::new(), along: Vec::new(), across: Vec::new() };
+        let [mut normal, mut across] = [Vec::new(), Vec::new()];
+        let [mut cross, mut along] = [(); 2].map(|()| [Vec::new(), Vec::new()]);
         for i in 0..side * side {
-            let [xx, yy, xy, x] = over_cell(i / side, i % side);
-            influence.normal.push(pressed * (xx + yy));
-            influence.cross.push(aside * x);
-            // (1 + ν) / (π r) ((1 - ν) + ν cos²), Cerruti.
-            influence.along.push(sheared * ((1.0 - nu) * (xx + yy) + nu * xx));
-            influence.across.push(sheared * nu * xy);
+            let sums = over_cell(i / side, i % side);
+            normal.push(pressed * (sums[0][0] + sums[0][1]));
+            across.push(sheared * nu * sums[0][2]);
+            for (axis, sums) in sums.into_iter().enumerate() {
+                cross[axis].push(aside * sums[3 + axis]);
+                // (1 + ν) / (π r) ((1 - ν) + ν cos²), Cerruti.
+                along[axis].push(sheared * ((1.0 - nu) * (sums[0] + sums[1]) + nu * sums[axis]));
+            }
         }
-        influence
+        Self { side, normal, cross, along, across }
     }
 }
 
-/// Integrals over the rectangle from the origin to (x, y) of x²/r³, y²/r³, xy/r³ and x/r².
-fn integrals(x: f64, y: f64) -> [f64; 4] {
+/// Integrals over the rectangle from the origin to (x, y) of x²/r³, y²/r³, xy/r³, x/r² and y/r².
+fn integrals(x: f64, y: f64) -> [f64; 5] {
     let r2 = x * x + y * y;
     [
         y * asinh(x / y.abs()),
@@ -91,7 +97,16 @@ fn integrals(x: f64, y: f64) -> [f64; 4] {
         // Without terms that cancel over the four corners of a cell.
         -sqrt(r2),
         0.5 * y * ln(r2) + x * atan(y / x),
+        0.5 * x * ln(r2) + y * atan(x / y),
     ]
+}
+
+/// Centres, from that of the cell, of the squares that stand for it in the remainder: itself, or two
+/// beside each other with the same variances.
+fn squares([width, height]: [f64; 2]) -> impl Iterator<Item = [f64; 2]> {
+    let apart = sqrt((width * width - height * height).abs() / 12.0);
+    let [aside, down] = if width > height { [apart, 0.0] } else { [0.0, apart] };
+    [[aside, down], [-aside, -down]].into_iter().take(if apart > 0.0 { 2 } else { 1 })
 }
 
 /// The remainder's integrals at one distance: pressure to depth, pressure to outward motion, and shear
@@ -128,8 +143,9 @@ const POINTS: usize = 10;
 const STEP: f64 = 0.045;
 
 impl Radials {
-    /// For cells up to `reach_mm` away along both axes.
-    fn new(layer: &Layer, cell_mm: f64, reach_mm: f64) -> Self {
+    /// For offsets of up to `side` cells along both axes.
+    fn new(layer: &Layer, cell_mm: [f64; 2], side: usize) -> Self {
+        let reach_mm = side as f64 * cell_mm[0].max(cell_mm[1]);
         let hankel = Hankel::new(layer, cell_mm, reach_mm);
         let step_mm = STEP * layer.thickness_mm;
         let count = ceil(core::f64::consts::SQRT_2 * reach_mm / step_mm) as usize + POINTS;
@@ -167,8 +183,11 @@ const GAUSS: [[f64; 2]; 4] = [
 const LAST: f64 = 16.0;
 
 impl Hankel {
-    fn new(layer: &Layer, cell_mm: f64, reach_mm: f64) -> Self {
+    /// Of one of the [`squares`] of a cell, with its share of the traction.
+    fn new(layer: &Layer, [width, height]: [f64; 2], reach_mm: f64) -> Self {
         let h = layer.thickness_mm;
+        let side = width.min(height);
+        let share = 1.0 / squares([width, height]).count() as f64;
         // The panel half-width keeps the argument of the farthest Bessel function within two radians,
         // and the layer's poles (the nearest at 0.74i) 3 half-widths away. Eight points then leave
         // 1e-12.
@@ -176,10 +195,10 @@ impl Hankel {
         let half = 0.5 * LAST / panels as f64;
         let node = |panel: usize, at: f64, weight: f64| {
             let k = ((2 * panel + 1) as f64 + at) * half / h;
-            // Square cell instead of a point: sin a / a sin b / b = e^(-(a² + b²) / 6) to fourth order,
-            // a = k_x cell / 2.
-            let smooth = exp(-k * k * cell_mm * cell_mm / 24.0);
-            let weight = weight * half / h * k * smooth * cell_mm * cell_mm / (2.0 * PI);
+            // Square instead of a point: sin a / a sin b / b = e^(-(a² + b²) / 6) to fourth order,
+            // a = k_x side / 2.
+            let smooth = exp(-k * k * side * side / 24.0);
+            let weight = weight * half / h * k * smooth * width * height * share / (2.0 * PI);
             let (layered, deep) = (layer.compliance(k), layer.half_space(k));
             let in_plane = layered.in_plane_mm - deep.in_plane_mm;
             let anti_plane = layered.anti_plane_mm - deep.anti_plane_mm;
@@ -223,7 +242,7 @@ mod tests {
             let layer = Layer { thickness_mm, poisson_ratio: 0.48 };
             let reach_mm = side as f64 * cell_mm;
             let (radials, hankel) =
-                (Radials::new(&layer, cell_mm, reach_mm), Hankel::new(&layer, cell_mm, reach_mm));
+                (Radials::new(&layer, [cell_mm; 2], side), Hankel::new(&layer, [cell_mm; 2], reach_mm));
             let all = |Radial { normal, cross, mean, split }: Radial| [normal, cross, mean, split];
             let scale = all(hankel.at(0.0)).into_iter().fold(0.0, |largest: f64, x| largest.max(x.abs()));
             for k in 0..400 {
@@ -241,10 +260,12 @@ mod tests {
     /// of a cell: a⁴/180 = 2e-5 of the remainder at a = k cell / 2 = 1/4.
     #[test]
     fn cells_add_up_to_the_compliance_of_a_wave() {
-        for poisson_ratio in [0.0, 0.3, 0.48, 0.5] {
+        let ratios = [0.0, 0.3, 0.48, 0.5].into_iter();
+        let cells = [[0.5, 0.5], [0.5, 0.4], [0.4, 0.5]];
+        for (poisson_ratio, cells) in ratios.flat_map(|nu| cells.map(|cell| (nu, cell))) {
             let layer = Layer { thickness_mm: 2.0, poisson_ratio };
-            let (cell, side) = (0.5, 96);
-            let influence = Influence::new(&layer, cell, side);
+            let (cell, side) = (cells[0], 120);
+            let influence = Influence::new(&layer, cells, side);
             for k in [0.0, 0.3, 1.0, 2.0] {
                 let wave = |m: i32| k + 2.0 * PI * f64::from(m) / cell;
                 let sinc = |q: f64| if q == 0.0 { 1.0 } else { sin(0.5 * q * cell) / (0.5 * q * cell) };
@@ -256,10 +277,10 @@ mod tests {
                     let copies = if row == 0 { 1.0 } else { 2.0 } * if col == 0 { 1.0 } else { 2.0 };
                     let phase = k * col as f64 * cell;
                     normal += copies * influence.normal[i] * cos(phase);
-                    along += copies * influence.along[i] * cos(phase);
-                    across += copies * influence.along[col * side + row] * cos(phase);
+                    along += copies * influence.along[0][i] * cos(phase);
+                    across += copies * influence.along[1][i] * cos(phase);
                     // Σ V(x) e^(-ikx) is -i times the cross term.
-                    cross += copies * influence.cross[i] * sin(phase);
+                    cross += copies * influence.cross[0][i] * sin(phase);
                 }
                 let at = |q: f64| layer.compliance(q.abs());
                 let close = |found: f64, expected: f64| {

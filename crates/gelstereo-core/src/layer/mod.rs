@@ -1,7 +1,7 @@
 //! The gel as an elastic layer: linear elasticity, bonded to a rigid plate below, unbounded sideways.
 //!
 //! [`Layer`] has the compliances by wave number, and [`Influence`] the motion of the surface around one
-//! square cell under a traction. Tractions are in units of Young's modulus.
+//! rectangular cell under a traction. Tractions are in units of Young's modulus.
 
 mod influence;
 mod kernel;

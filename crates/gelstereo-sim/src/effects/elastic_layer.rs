@@ -49,7 +49,7 @@ impl ElasticLayer {
         let places = Places { rows: gel.rows, cols: gel.cols, step, border: self.border_pitches * step };
         let [rows, cols] = places.cells();
         let layer = Layer { thickness_mm: gel.thickness_mm, poisson_ratio: self.poisson_ratio };
-        (layer, Grid { rows, cols, cell_mm: gel.pitch_mm / step as f64 }, places)
+        (layer, Grid { rows, cols, cell_mm: gel.pitch_mm.axes_mm().map(|mm| mm / step as f64) }, places)
     }
 }
 
@@ -67,9 +67,14 @@ impl Effect for ElasticLayer {
         let name = "effects.elastic_layer.border_pitches";
         check(border <= 64, name, border as f64, "0 to 64")?;
         let (layer, grid, _) = self.cells(gel);
-        let (fine, side) = (grid.cell_mm <= layer.thickness_mm, grid.rows.max(grid.cols));
+        let (cell_mm, side) = (grid.cell_mm[0].max(grid.cell_mm[1]), grid.rows.max(grid.cols));
         let name = "cell of effects.elastic_layer, gel.pitch_mm / cells_per_pitch,";
-        check(fine, name, grid.cell_mm, "at most gel.thickness_mm: raise cells_per_pitch")?;
+        check(
+            cell_mm <= layer.thickness_mm,
+            name,
+            cell_mm,
+            "at most gel.thickness_mm: raise cells_per_pitch",
+        )?;
         let name = "cells of effects.elastic_layer along a side";
         check(side <= 256, name, side as f64, "at most 256: lower cells_per_pitch or border_pitches")
     }
@@ -83,7 +88,7 @@ impl Effect for ElasticLayer {
         let per_pitch = (self.cells_per_pitch * self.cells_per_pitch) as f64;
         let cells = facts.markers() * per_pitch;
         let pitch = facts.scene.gel.pitch_mm;
-        let pressed = (facts.touch.footprint_mm2 / (pitch * pitch) * per_pitch).min(cells);
+        let pressed = (facts.touch.footprint_mm2 / (pitch.x_mm * pitch.y_mm) * per_pitch).min(cells);
         let products = if self.friction > 0.0 { 120.0 } else { 12.0 };
         // Heights of cells; transforms over about twice the pressed cells; sums over cells and markers.
         30.0 * cells + 150.0 * products * (pressed + 64.0) + pressed * facts.markers() * 3.0

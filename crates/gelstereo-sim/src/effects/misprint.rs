@@ -39,7 +39,7 @@ impl Effect for Misprint {
     fn validate(&self, gel: &Gel) -> Result<(), SceneError> {
         let check = SceneError::check;
         let (shift, radius, bridge) = (self.shift_mm, self.radius_share, self.bridge_share);
-        let max_mm = 0.25 * gel.pitch_mm;
+        let max_mm = 0.25 * gel.least_pitch_mm();
         check(
             (0.0..=max_mm).contains(&shift),
             "effects.misprint.shift_mm",

@@ -42,10 +42,12 @@ impl Effect for Shoulder {
     fn bound(&self, facts: &Facts<'_>) -> Bound {
         let sideways_mm = facts.when_contact_changes_mm();
         let depth_mm = facts.touch.depth_mm;
-        // Beside the contact h is l² / (1 + n l²) times the sum of its n <= 4 neighbours, none above the
-        // part's deepest point. In contact it is the part's height.
-        let reach = self.decay_thicknesses * facts.scene.gel.thickness_mm / facts.scene.gel.pitch_mm;
-        let share = 4.0 * reach * reach / (1.0 + 4.0 * reach * reach);
+        // Beside the contact h is l² / (1 + n l²) times the sum of its n <= 4 neighbours (l in pitches of
+        // each axis), none above the part's deepest point. In contact it is the part's height.
+        let gel = &facts.scene.gel;
+        let squares = Lattice::new(gel).squared_pitches(self.decay_thicknesses * gel.thickness_mm);
+        let all = 2.0 * squares[0] + 2.0 * squares[1];
+        let share = all / (1.0 + all);
         facts.moved(sideways_mm, if sideways_mm > 0.0 { depth_mm } else { share * depth_mm })
     }
 

@@ -38,7 +38,7 @@ impl Effect for Specks {
         check(count <= 10_000, "effects.specks.count", count as f64, "0 to 10000")?;
         let name = "effects.specks.radius_mm";
         check(min_mm > 0.0 && min_mm <= max_mm, name, min_mm, "above 0, the smaller one first")?;
-        check(max_mm <= 0.5 * gel.pitch_mm, name, max_mm, "at most half of gel.pitch_mm")
+        check(max_mm <= 0.5 * gel.least_pitch_mm(), name, max_mm, "at most half of gel.pitch_mm")
     }
 
     fn bound(&self, facts: &Facts<'_>) -> Bound {
@@ -84,11 +84,11 @@ impl Speck {
         let (s, t) = (self.within.x, self.within.y);
         let (top, bottom) = (at(0, 1) - at(0, 0), at(1, 1) - at(1, 0));
         let (left, right) = (at(1, 0) - at(0, 0), at(1, 1) - at(0, 1));
-        let scale = self.radius_mm / gel.pitch_mm;
+        let [along, across] = gel.pitch_mm.axes_mm().map(|pitch_mm| self.radius_mm / pitch_mm);
         Dot {
             centre: at(0, 0) + top * s + left * t + (bottom - top) * (s * t),
-            along: top.lerp(bottom, t) * scale,
-            across: left.lerp(right, s) * scale,
+            along: top.lerp(bottom, t) * along,
+            across: left.lerp(right, s) * across,
         }
     }
 }

@@ -97,10 +97,10 @@ impl Spreading {
     pub(crate) fn new(spread: &Spread, lattice: &Lattice) -> Self {
         let thickness_mm = lattice.thickness_mm;
         let length_mm = spread.decay_thicknesses * thickness_mm;
-        let lengths = [SMOOTHING * thickness_mm, length_mm].map(|mm| mm / lattice.pitch_mm);
+        let squares = [SMOOTHING * thickness_mm, length_mm].map(|mm| lattice.squared_pitches(mm));
         // The membranes solve p / l² - Δp = smooth for p / l².
         let scale = -spread.strength * 1.5 / thickness_mm * length_mm * length_mm;
-        Self { membranes: Membranes::new([lattice.rows, lattice.cols], &lengths), scale }
+        Self { membranes: Membranes::new([lattice.rows, lattice.cols], &squares), scale }
     }
 
     /// Adds the sideways motion under these heights; the two vectors are scratch.
@@ -131,7 +131,7 @@ mod tests {
     /// against the layer's.
     #[test]
     fn a_cosine_spreads_as_on_the_incompressible_layer() {
-        let gel = Gel { rows: 2, cols: 160, pitch_mm: 0.25, ..Gel::default() };
+        let gel = Gel { rows: 2, cols: 160, pitch_mm: 0.25.into(), ..Gel::default() };
         let lattice = Lattice::new(&gel);
         // Half waves over 40 mm; x = k t is 0.79 to 1.96. The screening at 4 thicknesses adds 1/16 to x²
         // = 0.6.

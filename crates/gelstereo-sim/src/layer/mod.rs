@@ -1,7 +1,7 @@
 //! Contact of a rigid part with a layer of gel: linear elasticity, bonded below, unbounded sideways.
 //!
 //! [`Layer`] has the compliances by wave number. [`LayerContact`] solves for the tractions over a grid
-//! of square cells under a part, and for the motion of the surface. [`closed`] has the few contacts with
+//! of rectangular cells under a part, and for the motion of the surface. [`closed`] has the few contacts with
 //! closed-form solutions, for the half-space limit of a thick layer. Tractions are in units of Young's
 //! modulus: the surface under a part that is held in place does not depend on the modulus.
 
@@ -41,15 +41,15 @@ pub enum Start {
     Last,
 }
 
-/// Grid of square cells.
+/// Grid of rectangular cells.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Grid {
     /// Cells along y.
     pub rows: usize,
     /// Cells along x.
     pub cols: usize,
-    /// Side of a square cell, mm.
-    pub cell_mm: f64,
+    /// Sides of a cell along x and y, mm.
+    pub cell_mm: [f64; 2],
 }
 
 /// A part on the layer.
@@ -430,8 +430,10 @@ impl Grid {
         for (name, side) in [("rows", self.rows), ("cols", self.cols)] {
             LayerError::check((1..=MAX_CELLS).contains(&side), name, side as f64, "1 to 256 cells")?;
         }
-        let ok = self.cell_mm > 0.0 && self.cell_mm <= layer.thickness_mm;
-        LayerError::check(ok, "cell_mm", self.cell_mm, "above 0, at most the layer's thickness")
+        self.cell_mm.into_iter().try_for_each(|side| {
+            let ok = side > 0.0 && side <= layer.thickness_mm;
+            LayerError::check(ok, "cell_mm", side, "above 0, at most the layer's thickness")
+        })
     }
 }
 

@@ -62,7 +62,7 @@ impl Nodes {
         let width = origin + places.cols + places.border / places.step;
         let influence = contact.influence();
         let side = influence.side;
-        let table = |at: &dyn Fn(usize, usize) -> f64, odd: bool| {
+        let table = |field: &[f64], odd: bool| {
             let mut list = Vec::with_capacity(grid_rows * places.step * width);
             for row in 0..grid_rows {
                 for phase in 0..places.step {
@@ -71,7 +71,7 @@ impl Nodes {
                         let sign = if odd && col < 0 { -1.0 } else { 1.0 };
                         // No cell has a marker beyond the table.
                         let col = col.unsigned_abs();
-                        list.push(if col < side { sign * at(row, col) } else { 0.0 });
+                        list.push(if col < side { sign * field[row * side + col] } else { 0.0 });
                     }
                 }
             }
@@ -83,13 +83,9 @@ impl Nodes {
             grid_cols,
             origin,
             width,
-            normal: table(&|r, c| normal[r * side + c], false),
-            cross: [table(&|r, c| cross[r * side + c], true), table(&|r, c| cross[c * side + r], false)],
-            shear: [
-                table(&|r, c| along[r * side + c], false),
-                table(&|r, c| along[c * side + r], false),
-                table(&|r, c| across[r * side + c], true),
-            ],
+            normal: table(normal, false),
+            cross: [table(&cross[0], true), table(&cross[1], false)],
+            shear: [table(&along[0], false), table(&along[1], false), table(across, true)],
         }
     }
 
@@ -157,7 +153,8 @@ mod tests {
             let places = Places { rows: 5, cols: 7, step, border };
             let [rows, cols] = places.cells();
             let layer = Layer { thickness_mm: 3.0, poisson_ratio: 0.45 };
-            let mut contact = LayerContact::new(layer, Grid { rows, cols, cell_mm: 0.4 }, 1.0).unwrap();
+            let mut contact =
+                LayerContact::new(layer, Grid { rows, cols, cell_mm: [0.4, 0.3] }, 1.0).unwrap();
             let mut random = Stream::new(1, "loads");
             let [p, qx, qy] =
                 [0, 1, 2].map(|_| (0..rows * cols).map(|_| random.uniform() - 0.5).collect::<Vec<_>>());

@@ -94,6 +94,11 @@ struct Kernels<'a> {
     scratch: Scratch,
 }
 
+/// An influence by its offset down and across, in cells.
+fn by_offset(field: &[f64], side: usize) -> impl Fn(usize, usize) -> f64 + '_ {
+    move |row, col| field[row * side + col]
+}
+
 /// Non-zero part of a spectrum.
 #[derive(Clone, Copy)]
 enum Part {
@@ -106,17 +111,15 @@ impl Kernels<'_> {
         let Influence { side, normal, cross, along, across } = self.influence;
         let even = |_: bool| 1.0;
         let odd = |negative: bool| if negative { -1.0 } else { 1.0 };
-        let flat = |row: usize, col: usize| row * side + col;
-        let turned = |row: usize, col: usize| col * side + row;
-        let normal = self.spectrum(|r, c| normal[flat(r, c)], even, even, Part::Real);
+        let normal = self.spectrum(by_offset(normal, *side), even, even, Part::Real);
         let cross = [
-            self.spectrum(|r, c| cross[flat(r, c)], even, odd, Part::Imaginary),
-            self.spectrum(|r, c| cross[turned(r, c)], odd, even, Part::Imaginary),
+            self.spectrum(by_offset(&cross[0], *side), even, odd, Part::Imaginary),
+            self.spectrum(by_offset(&cross[1], *side), odd, even, Part::Imaginary),
         ];
         let shear = [
-            self.spectrum(|r, c| along[flat(r, c)], even, even, Part::Real),
-            self.spectrum(|r, c| along[turned(r, c)], even, even, Part::Real),
-            self.spectrum(|r, c| across[flat(r, c)], odd, odd, Part::Real),
+            self.spectrum(by_offset(&along[0], *side), even, even, Part::Real),
+            self.spectrum(by_offset(&along[1], *side), even, even, Part::Real),
+            self.spectrum(by_offset(across, *side), odd, odd, Part::Real),
         ];
         let cells = (4 * self.plane.rows * self.plane.cols) as f64;
         let peak = |spectrum: &[f64]| spectrum.iter().fold(0.0_f64, |peak, &x| peak.max(x.abs())) * cells;

@@ -85,7 +85,7 @@ impl<'a> Facts<'a> {
         if !(self.touch.depth_mm > 0.0) {
             return (PER_MARKER_NS + PER_SWEEP_NS) * self.markers();
         }
-        let reach = decay_thicknesses * self.scene.gel.thickness_mm / self.scene.gel.pitch_mm;
+        let reach = decay_thicknesses * self.scene.gel.thickness_mm / self.scene.gel.least_pitch_mm();
         (PER_MARKER_NS + PER_SWEEP_NS * 11.0 * reach.max(1.0)) * self.markers()
     }
 
@@ -103,7 +103,7 @@ impl<'a> Facts<'a> {
         let (gel, effects) = (&self.scene.gel, &self.scene.effects);
         let shoulder =
             effects.shoulder.as_ref().map_or(0.0, |shoulder| shoulder.decay_thicknesses * gel.thickness_mm);
-        self.touch.span_mm + 2.0 * (shoulder + gel.pitch_mm)
+        self.touch.span_mm + 2.0 * (shoulder + gel.pitch_mm.x_mm.max(gel.pitch_mm.y_mm))
     }
 
     /// Radius of the largest dot.
@@ -115,7 +115,7 @@ impl<'a> Facts<'a> {
     /// Smallest distance of two neighbouring dots as printed.
     pub(crate) fn least_pitch_mm(&self) -> f64 {
         let shift = self.scene.effects.misprint.as_ref().map_or(0.0, |misprint| misprint.shift_mm);
-        self.scene.gel.pitch_mm - 2.0 * shift
+        self.scene.gel.least_pitch_mm() - 2.0 * shift
     }
 
     /// Height change when a marker meets the part this far aside.
@@ -191,19 +191,18 @@ impl Touch {
         let gel = &scene.gel;
         let thickness_mm = gel.thickness_mm;
         let depth_mm = part.depth_mm(scene).clamp(0.0, thickness_mm);
-        let side = |count: usize| count as f64 * gel.pitch_mm;
+        let sides = [gel.cols as f64 * gel.pitch_mm.x_mm, gel.rows as f64 * gel.pitch_mm.y_mm];
         let (span_mm, steepness) = part.footprint(depth_mm);
         let all = scene.trajectory.iter().map(|k| k.contact);
         let shear = all.clone().map(|c| DVec2::from_array(c.shear_mm).length()).fold(0.0, f64::max);
         let twist = all.map(|c| c.twist_rad.abs()).fold(0.0, f64::max);
-        let span_mm = span_mm.min(DVec2::new(side(gel.rows), side(gel.cols)).length());
+        let span_mm = span_mm.min(DVec2::from_array(sides).length());
         Ok(Self {
             depth_mm,
             steepness,
             span_mm,
             // A disc has the largest area for a given span.
-            footprint_mm2: (0.25 * core::f64::consts::PI * span_mm * span_mm)
-                .min(side(gel.rows) * side(gel.cols)),
+            footprint_mm2: (0.25 * core::f64::consts::PI * span_mm * span_mm).min(sides[0] * sides[1]),
             arm_mm: if matches!(shape, Shape::Sphere { .. }) { 0.0 } else { part.radius_mm() },
             // Without a trajectory any contact is possible.
             shear_mm: if scene.trajectory.is_empty() { f64::INFINITY } else { shear },
@@ -374,7 +373,7 @@ impl Facts<'_> {
     /// Corners of boxes that contain all markers with their dots at all times.
     fn corners(&self) -> impl Iterator<Item = DVec3> {
         let gel = &self.scene.gel;
-        let half = DVec2::new((gel.cols - 1) as f64, (gel.rows - 1) as f64) * (0.5 * gel.pitch_mm);
+        let half = gel.half_mm();
         let more = self.sideways_mm + 2.0 * self.dot_radius_mm();
         let moves = &self.scene.gel_motion;
         let turns = moves.iter().any(|k| k.rotation_rad != 0.0);

@@ -31,8 +31,7 @@ impl Pace {
             pace.grip = pace.grip.max(grip * per_s);
         }
         let gel = &facts.scene.gel;
-        let half = DVec2::new((gel.cols - 1) as f64, (gel.rows - 1) as f64) * (0.5 * gel.pitch_mm);
-        let radius_mm = half.length() + facts.sideways_mm;
+        let radius_mm = gel.half_mm().length() + facts.sideways_mm;
         let moves = &facts.scene.gel_motion;
         for (a, b) in moves.iter().zip(moves.iter().skip(1)) {
             let shift = DVec2::from_array(b.shift_mm) - DVec2::from_array(a.shift_mm);

@@ -12,6 +12,7 @@ use crate::shapes::Shape;
 use alloc::vec::Vec;
 use gelstereo_core::camera::Camera;
 use gelstereo_core::math::{DQuat, DVec2, DVec3, Pose, so3};
+use gelstereo_core::params::Pitch;
 use gelstereo_core::rig::Rig;
 
 /// Everything in a simulation, and the active effects. A file states only the differences from
@@ -92,11 +93,12 @@ pub struct Gel {
     /// Markers from left to right. Valid: 2 to 1000 markers. Default: `25`. Change it to the print that is
     /// simulated.
     pub cols: usize,
-    /// Distance between neighbours. Valid: 0.001 to 1000 mm. Default: `0.9` mm. Change it to the print that
-    /// is simulated, and `params.lattice.pitch_mm` with it.
-    pub pitch_mm: f64,
-    /// Radius of the dots. Valid: 0.0001 to 500 mm, below half of `pitch_mm`. Default: `0.22` mm. Change it
-    /// to the print that is simulated.
+    /// Distance between neighbours, or `[x, y]` of a rectangular print: along a row, and along a column.
+    /// Valid: 0.001 to 1000 mm. Default: `0.9` mm. Change it to the print that is simulated, and
+    /// `params.lattice.pitch_mm` with it.
+    pub pitch_mm: Pitch,
+    /// Radius of the dots. Valid: 0.0001 to 500 mm, below half of the smaller `pitch_mm`. Default: `0.22`
+    /// mm. Change it to the print that is simulated.
     pub dot_radius_mm: f64,
     /// The lattice's centre, sensor x and y. Valid: -10000 to 10000 mm. Default: `[4, 0]` mm, between the
     /// cameras of the default rig. Change it with the rig.
@@ -128,7 +130,7 @@ impl Default for Gel {
         Self {
             rows: 25,
             cols: 25,
-            pitch_mm: 0.9,
+            pitch_mm: Pitch::square(0.9),
             dot_radius_mm: 0.22,
             centre_mm: [4.0, 0.0],
             surface_mm: 28.7,
@@ -334,13 +336,25 @@ impl Gel {
         crate::lattice::Lattice::new(self).marker_mm(DVec2::from_array(self.centre_mm), row, col)
     }
 
+    /// The smaller of the two pitches.
+    pub(crate) fn least_pitch_mm(&self) -> f64 {
+        self.pitch_mm.x_mm.min(self.pitch_mm.y_mm)
+    }
+
+    /// Half the lattice's extent along a row and along a column.
+    pub(crate) fn half_mm(&self) -> DVec2 {
+        let [x_mm, y_mm] = self.pitch_mm.axes_mm();
+        DVec2::new((self.cols - 1) as f64 * (0.5 * x_mm), (self.rows - 1) as f64 * (0.5 * y_mm))
+    }
+
     fn validate(&self) -> Result<(), SceneError> {
         let check = SceneError::check;
         for (name, side) in [("gel.rows", self.rows), ("gel.cols", self.cols)] {
             check((2..=1000).contains(&side), name, side as f64, "2 to 1000 markers")?;
         }
         let lengths = [
-            ("gel.pitch_mm", self.pitch_mm, 1e-3, "0.001 to 1000 mm"),
+            ("gel.pitch_mm", self.pitch_mm.x_mm, 1e-3, "0.001 to 1000 mm"),
+            ("gel.pitch_mm", self.pitch_mm.y_mm, 1e-3, "0.001 to 1000 mm"),
             ("gel.dot_radius_mm", self.dot_radius_mm, 1e-4, "0.0001 to 1000 mm"),
             ("gel.thickness_mm", self.thickness_mm, 1e-3, "0.001 to 1000 mm"),
         ];
@@ -348,7 +362,12 @@ impl Gel {
             check(found >= low && found <= 1e3, name, found, valid)?;
         }
         let (radius, surface) = (self.dot_radius_mm, self.surface_mm);
-        check(2.0 * radius < self.pitch_mm, "gel.dot_radius_mm", radius, "below half of gel.pitch_mm")?;
+        check(
+            2.0 * radius < self.least_pitch_mm(),
+            "gel.dot_radius_mm",
+            radius,
+            "below half of gel.pitch_mm",
+        )?;
         let apart = surface > self.thickness_mm && surface <= 1e4;
         check(apart, "gel.surface_mm", surface, "above gel.thickness_mm, at most 10000 mm")?;
         for found in self.centre_mm {

@@ -60,7 +60,14 @@ impl Scene {
         let centre_mm = [0.5 * rig.baseline_mm(), 0.0];
         let default = Gel::default();
         let dot_radius_mm = if markers == default.rows { default.dot_radius_mm } else { 0.244 * pitch_mm };
-        let gel = Gel { rows: markers, cols: markers, pitch_mm, dot_radius_mm, centre_mm, ..default };
+        let gel = Gel {
+            rows: markers,
+            cols: markers,
+            pitch_mm: pitch_mm.into(),
+            dot_radius_mm,
+            centre_mm,
+            ..default
+        };
         Some(Self { rig, gel, ..Self::default() })
     }
 
@@ -70,7 +77,7 @@ impl Scene {
         let layers = Layers { normal: DVec3::Z, gap_mm: 20.0, plates, gel_index: 1.41 };
         let rig = Rig { layers: Some(layers), ..rig((640, 480, 600.0, 10.0)) };
         let gel = Gel {
-            pitch_mm: 0.65,
+            pitch_mm: 0.65.into(),
             dot_radius_mm: 0.16,
             centre_mm: [5.0, 0.0],
             surface_mm: 28.0,

@@ -90,14 +90,15 @@ impl Layered {
     /// Puts every cell at its rest place or, with a grip, at its place carried by the part.
     pub(super) fn place(&mut self, middle_mm: DVec2, axes: [DVec2; 2], grip: Option<&Grip>) {
         let grid = self.contact.grid();
-        let from_middle = |i: usize, n: usize| (i as f64 - 0.5 * (n as f64 - 1.0)) * grid.cell_mm;
+        let [x_mm, y_mm] = grid.cell_mm;
+        let from_middle = |i: usize, n: usize| i as f64 - 0.5 * (n as f64 - 1.0);
         self.rest.clear();
         self.at.clear();
         self.carried.iter_mut().for_each(Vec::clear);
         for row in 0..grid.rows {
-            let down = middle_mm + axes[1] * from_middle(row, grid.rows);
+            let down = middle_mm + axes[1] * (from_middle(row, grid.rows) * y_mm);
             for col in 0..grid.cols {
-                let rest = down + axes[0] * from_middle(col, grid.cols);
+                let rest = down + axes[0] * (from_middle(col, grid.cols) * x_mm);
                 let carried = grip.map_or(DVec2::ZERO, |grip| grip.motion_mm(rest));
                 self.rest.push(rest);
                 self.at.push(rest + carried);

@@ -29,7 +29,7 @@ pub struct Loads {
     pub torque_nmm: DVec3,
     /// Centroid of the markers at rest, sensor frame.
     pub about_mm: DVec3,
-    /// Mean traction over the square around each marker, kilopascals along the sensor's axes.
+    /// Mean traction over the rectangle of a pitch around each marker, kilopascals along the sensor's axes.
     pub traction_kpa: Vec<DVec3>,
     /// Whether the gel sticks to the part, at each marker's place; never unknown.
     pub stick: Vec<Stick>,
@@ -93,7 +93,7 @@ impl Simulator {
         let Some(layered) = &self.layered else { return false };
         let axes = self.lattice.axes.map(|axis| axis.extend(0.0));
         let grid = layered.contact.grid();
-        let scale = layered.young_kpa * N_PER_KPA_MM2 * grid.cell_mm * grid.cell_mm;
+        let scale = layered.young_kpa * N_PER_KPA_MM2 * grid.cell_mm[0] * grid.cell_mm[1];
         let sum: DVec3 = self.rest.iter().map(|rest| rest.extend(self.surface_mm)).sum();
         out.about_mm = sum / self.rest.len() as f64;
         (out.force_n, out.torque_nmm) = (DVec3::ZERO, DVec3::ZERO);
@@ -113,12 +113,12 @@ impl Simulator {
     }
 }
 
-/// Mean traction over the square of a marker's pitch around a cell; cells on its border count in part.
+/// Mean traction over the rectangle of a marker's pitch around a cell; cells on its border count in part.
 fn mean_around(layered: &Layered, cell: usize, axes: [DVec3; 2]) -> DVec3 {
     let (grid, step) = (layered.contact.grid(), layered.places.step);
     let half = step / 2;
     let (row, col) = ((cell / grid.cols) as isize, (cell % grid.cols) as isize);
-    // With an even step, the square's border runs through the middle of cells.
+    // With an even step, the rectangle's border runs through the middle of cells.
     let weight = |d: isize| if step.is_multiple_of(2) && d.unsigned_abs() == half { 0.5 } else { 1.0 };
     let range = || -(half as isize)..=half as isize;
     let mut sum = DVec3::ZERO;

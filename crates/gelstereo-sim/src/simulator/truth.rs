@@ -209,7 +209,7 @@ impl Simulator {
         let radius_mm = radius_mm * worn.as_ref().map_or(1.0, |worn| worn.radius(marker, time_s));
         let Some(shift_mm) = print.as_ref().and_then(|print| print.shift_mm()) else {
             let [along, across] = [0, 1].map(|axis| {
-                let stretch = apart[axis] / (neighbours[axis].2 * lattice.pitch_mm);
+                let stretch = apart[axis] / (neighbours[axis].2 * lattice.pitch_mm[axis]);
                 stretch * radius_mm
             });
             return Dot { centre, along, across };
@@ -219,7 +219,7 @@ impl Simulator {
         let axes = [DVec2::X, DVec2::Y];
         let [a, b] = [0, 1].map(|axis| {
             let (before, after, pitches) = neighbours[axis];
-            axes[axis] * (pitches * lattice.pitch_mm) + shift_mm[after] - shift_mm[before]
+            axes[axis] * (pitches * lattice.pitch_mm[axis]) + shift_mm[after] - shift_mm[before]
         });
         let scale = radius_mm / a.perp_dot(b);
         Dot {
