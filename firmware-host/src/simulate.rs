@@ -25,7 +25,7 @@ pub enum SimulateError {
     },
     /// The scene's values are invalid.
     Scene(SceneError),
-    /// The indenter's mesh cannot be loaded.
+    /// A part's mesh cannot be loaded.
     Part(PartError),
     /// A file cannot be written.
     Write {
@@ -79,17 +79,16 @@ pub fn simulate(
         .map_err(|error| SimulateError::Read { path: scene_path.to_owned(), error })?;
     let mut scene: Scene =
         toml::from_str(&text).map_err(|error| SimulateError::Parse { path: scene_path.to_owned(), error })?;
-    let mesh = match &mut scene.indenter {
-        Some(shape @ Shape::Mesh { .. }) => {
-            if let Shape::Mesh { path, .. } = shape {
-                let base = scene_path.parent().unwrap_or(Path::new(""));
-                *path = base.join(&*path).to_string_lossy().into_owned();
-            }
-            Some(Part::load(shape).map_err(SimulateError::Part)?.mesh)
+    let mut meshes = Vec::new();
+    let others = scene.others.iter_mut().map(|other| &mut other.indenter);
+    for shape in scene.indenter.iter_mut().chain(others) {
+        if let Shape::Mesh { path, .. } = shape {
+            let base = scene_path.parent().unwrap_or(Path::new(""));
+            *path = base.join(&*path).to_string_lossy().into_owned();
+            meshes.push(Part::load(shape).map_err(SimulateError::Part)?.mesh);
         }
-        _ => None,
-    };
-    let mut simulator = Simulator::new(&scene, mesh.as_ref()).map_err(SimulateError::Scene)?;
+    }
+    let mut simulator = Simulator::new(&scene, &meshes).map_err(SimulateError::Scene)?;
     create_folder(folder)?;
     for (name, text) in
         [("scene.toml", toml::to_string(&scene)), ("rig.toml", toml::to_string(&simulator.plan().scene.rig))]

@@ -5,35 +5,27 @@ use crate::simulator::ContactState;
 use alloc::vec::Vec;
 use gelstereo_core::math::{Pose, floor, so3};
 
-/// Keyframes of the part and of the gel, each in order of time.
+/// Keyframes of every part and of the gel, each in order of time.
 #[derive(Clone, Debug)]
 pub(crate) struct Trajectory {
-    keyframes: Vec<Keyframe>,
+    parts: Vec<Vec<Keyframe>>,
     gel: Vec<GelKeyframe>,
     frame_rate_hz: f64,
 }
 
 impl Trajectory {
     pub(crate) fn new(scene: &Scene) -> Self {
-        let (keyframes, gel) = (scene.trajectory.clone(), scene.gel_motion.clone());
-        Self { keyframes, gel, frame_rate_hz: scene.frame_rate_hz }
+        let parts = scene.parts().map(|(_, keyframes)| keyframes.to_vec()).collect();
+        Self { parts, gel: scene.gel_motion.clone(), frame_rate_hz: scene.frame_rate_hz }
     }
 
     /// Times of the first and the last keyframe; 0 without any.
     pub(crate) fn span_s(&self) -> [f64; 2] {
+        let firsts = self.parts.iter().filter_map(|keyframes| keyframes.first()).map(|k| k.time_s);
+        let lasts = self.parts.iter().filter_map(|keyframes| keyframes.last()).map(|k| k.time_s);
         let ends = [
-            self.keyframes
-                .first()
-                .map(|k| k.time_s)
-                .into_iter()
-                .chain(self.gel.first().map(|k| k.time_s))
-                .reduce(f64::min),
-            self.keyframes
-                .last()
-                .map(|k| k.time_s)
-                .into_iter()
-                .chain(self.gel.last().map(|k| k.time_s))
-                .reduce(f64::max),
+            firsts.chain(self.gel.first().map(|k| k.time_s)).reduce(f64::min),
+            lasts.chain(self.gel.last().map(|k| k.time_s)).reduce(f64::max),
         ];
         ends.map(Option::unwrap_or_default)
     }
@@ -49,19 +41,25 @@ impl Trajectory {
         self.span_s()[0] + frame as f64 / self.frame_rate_hz
     }
 
-    /// Contact at a time. Translation, shear and twist are linear between keyframes; rotation follows
-    /// the shortest arc. The first keyframe applies before it, and the last one after it.
-    pub(crate) fn contact(&self, time_s: f64) -> Option<ContactState> {
-        let (before, after, share) = around(&self.keyframes, |k| k.time_s, time_s)?;
+    /// Contact of a part at a time. Translation, shear and twist are linear between keyframes; rotation
+    /// follows the shortest arc. The first keyframe applies before it, and the last one after it.
+    pub(crate) fn contact(&self, part: usize, time_s: f64) -> Option<ContactState> {
+        let (before, after, share) = around(self.parts.get(part)?, |k| k.time_s, time_s)?;
         Some(match share {
             Some(share) => between(&before.contact, &after.contact, share),
             None => before.contact,
         })
     }
 
-    /// Moves a contact from one time to another by the trajectory's motion between them.
-    pub(crate) fn carried(&self, contact: &ContactState, from_s: f64, to_s: f64) -> ContactState {
-        let (Some(from), Some(to)) = (self.contact(from_s), self.contact(to_s)) else { return *contact };
+    /// Moves a part's contact from one time to another by its trajectory's motion between them.
+    pub(crate) fn carried(
+        &self,
+        part: usize,
+        contact: &ContactState,
+        [from_s, to_s]: [f64; 2],
+    ) -> ContactState {
+        let [from, to] = [from_s, to_s].map(|time_s| self.contact(part, time_s));
+        let (Some(from), Some(to)) = (from, to) else { return *contact };
         let (before, after, own) = (from.t_sensor_object, to.t_sensor_object, contact.t_sensor_object);
         let along = |axis: usize| contact.shear_mm[axis] + (to.shear_mm[axis] - from.shear_mm[axis]);
         let turn = after.rotation * before.rotation.conjugate();
@@ -117,6 +115,7 @@ fn between(a: &ContactState, b: &ContactState, share: f64) -> ContactState {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::shapes::Shape;
     use alloc::vec;
     use gelstereo_core::math::{DVec3, abs};
     use proptest::prelude::*;
@@ -127,7 +126,8 @@ mod tests {
             contact: ContactState::pressed(Pose::exp(omega, DVec3::ZERO)),
         };
         let trajectory = times_s.iter().zip(rotations).map(keyframe).collect();
-        Trajectory::new(&Scene { trajectory, frame_rate_hz, ..Scene::default() })
+        let indenter = Some(Shape::Sphere { radius_mm: 1.0 });
+        Trajectory::new(&Scene { indenter, trajectory, frame_rate_hz, ..Scene::default() })
     }
 
     proptest! {
@@ -139,7 +139,7 @@ mod tests {
         ) {
             let ends = [DVec3::from_array(from), DVec3::from_array(to)];
             let path = trajectory(&[0.0, 2.0], &ends, 30.0);
-            let at = |time_s: f64| path.contact(time_s).unwrap().t_sensor_object.rotation;
+            let at = |time_s: f64| path.contact(0, time_s).unwrap().t_sensor_object.rotation;
             let angle = |a: f64, b: f64| so3::log(at(a).conjugate() * at(b)).length();
             let (whole, there) = (angle(0.0, 2.0), 2.0 * share);
             prop_assert!(abs(angle(0.0, there) - share * whole) < 1e-12);

@@ -25,6 +25,7 @@ mod motion;
 mod motion_blur;
 mod no_lattice;
 mod noise;
+mod others;
 mod pipeline;
 mod plan;
 mod plan_bounds;

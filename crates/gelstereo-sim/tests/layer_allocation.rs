@@ -8,7 +8,7 @@ use common::{press, simulator, with_effects};
 use counting::ALLOCATIONS;
 use gelstereo_core::math::{DVec2, DVec3};
 use gelstereo_sim::effects::{ElasticLayer, LargeStrain, Relaxation};
-use gelstereo_sim::{ContactState, Effects, Keyframe, Shape, Truth};
+use gelstereo_sim::{ContactState, Effects, Keyframe, Other, Shape, Truth};
 
 #[test]
 fn row_35_frames_on_a_layer_allocate_nothing_after_the_first() {
@@ -28,6 +28,12 @@ fn row_35_frames_on_a_layer_allocate_nothing_after_the_first() {
             },
         })
         .into();
+    // The other part comes later, and stays.
+    let other = scene.trajectory.iter().skip(1).copied().map(|mut key| {
+        key.contact.t_sensor_object.translation_mm.y += 6.0;
+        key
+    });
+    scene.others = vec![Other { indenter: Shape::Sphere { radius_mm: 4.0 }, trajectory: other.collect() }];
     let mut simulator = simulator(&scene);
     let mut truth = Truth::default();
     // Nothing touches in the first frame.

@@ -14,7 +14,8 @@ use gelstereo_sim::effects::{
 };
 use gelstereo_sim::plan::Bound;
 use gelstereo_sim::{
-    Asked, ContactState, Effects, Gel, GelKeyframe, Keyframe, Plan, Scene, Shape, Simulator, Switch, Truth,
+    Asked, ContactState, Effects, Gel, GelKeyframe, Keyframe, Other, Plan, Scene, Shape, Simulator, Switch,
+    Truth,
 };
 use proptest::prelude::*;
 
@@ -243,17 +244,26 @@ fn scenes() -> impl Strategy<Value = Scene> {
         let pitch_mm = Pitch { x_mm: right * pitch_mm, y_mm: down * pitch_mm };
         Gel { rows, cols, pitch_mm, dot_radius_mm, thickness_mm, rotation_rad, bright_dots, ..Gel::default() }
     });
-    (cameras(), gel, shapes(), trajectories(), effects(), 0..1000_u64).prop_map(
-        |(rig, gel, shape, moments, effects, seed)| {
+    let other = prop::option::of((shapes(), trajectories()));
+    (cameras(), gel, shapes(), trajectories(), other, effects(), 0..1000_u64).prop_map(
+        |(rig, gel, shape, moments, other, effects, seed)| {
             let mut scene = Scene { seed, frame_rate_hz: 4.0, rig, gel, effects, ..Scene::default() };
             scene.indenter = Some(shape);
+            let (second_shape, second) = other.unzip();
+            let second_part = |indenter| Other { indenter, trajectory: Vec::new() };
+            scene.others = second_shape.into_iter().map(second_part).collect();
             // How deep the part goes is the same without effects, some of which take long to begin.
             let bare = Scene { effects: Effects::default(), ..scene.clone() };
             let simulator = Simulator::new(&bare, None).unwrap();
-            for (k, (press_mm, contact)) in moments.into_iter().enumerate() {
-                let t_sensor_object = simulator.pressed(contact.t_sensor_object, press_mm).unwrap();
-                let contact = ContactState { t_sensor_object, ..contact };
-                scene.trajectory.push(Keyframe { time_s: 0.5 * k as f64, contact });
+            let key = |part: usize, (k, (press_mm, contact)): (usize, (f64, ContactState))| {
+                let pose = simulator.pressed_of(part, contact.t_sensor_object, press_mm);
+                let contact = ContactState { t_sensor_object: pose.unwrap(), ..contact };
+                Keyframe { time_s: 0.5 * k as f64, contact }
+            };
+            scene.trajectory = moments.into_iter().enumerate().map(|moment| key(0, moment)).collect();
+            if let Some(moments) = second {
+                scene.others[0].trajectory =
+                    moments.into_iter().enumerate().map(|moment| key(1, moment)).collect();
             }
             scene
         },

@@ -60,7 +60,11 @@ proptest! {
             prop_assert!((found - expected).abs() < 1e-12);
         }
         placed.indentation_mm.clone_from(&pressed.indentation_mm);
+        // Which part touches is not known of placed markers.
+        prop_assert!(placed.contacts.is_empty() && placed.touched_by.iter().all(Option::is_none));
         placed.in_contact.clone_from(&pressed.in_contact);
+        placed.touched_by.clone_from(&pressed.touched_by);
+        placed.contacts.clone_from(&pressed.contacts);
         prop_assert_eq!(placed, pressed);
     }
 
@@ -173,6 +177,8 @@ fn a_field_is_the_moment_without_its_views() {
             points_mm: whole.points_mm,
             indentation_mm: whole.indentation_mm,
             in_contact: whole.in_contact,
+            touched_by: whole.touched_by,
+            contacts: vec![Some(contact)],
             loads: whole.loads,
             ..Truth::default()
         };

@@ -29,12 +29,19 @@ pub struct SimulatedFrame {
     /// (N,) true height above the rest surface.
     #[pyo3(get)]
     indentation_mm: Array1<f64>,
-    /// (N,) bool, whether the indenter touches the gel at the marker.
+    /// (N,) bool, whether a part touches the gel at the marker.
     #[pyo3(get)]
     in_contact: Array1<bool>,
+    /// (N,) number of the part that touches the gel at the marker: 0 is the indenter, n the n-th of the scene's
+    /// ``others``; -1 where none does.
+    #[pyo3(get)]
+    touched_by: Array1<i64>,
     /// (4, 4) true pose of the indenter, or None without one.
     #[pyo3(get)]
     t_sensor_object: Option<Matrix>,
+    /// (4, 4) true pose of each part by its number, or None of one that is not there.
+    #[pyo3(get)]
+    t_sensor_objects: Vec<Option<Matrix>>,
     simulator: Py<Simulator>,
     /// At least the markers in space.
     truth: sim::Truth,
@@ -52,20 +59,22 @@ struct Views {
 
 impl SimulatedFrame {
     /// From a field or a moment.
-    pub(super) fn new(
-        simulator: &Bound<'_, Simulator>,
-        index: u64,
-        contact: Option<&sim::ContactState>,
-        truth: sim::Truth,
-    ) -> PyResult<Self> {
+    pub(super) fn new(simulator: &Bound<'_, Simulator>, index: u64, truth: sim::Truth) -> PyResult<Self> {
         let (py, stage) = (simulator.py(), simulator.get());
+        let pose = |contact: &Option<sim::ContactState>| {
+            contact.map(|contact| arrays::pose_matrix(py, &contact.t_sensor_object)).transpose()
+        };
+        let t_sensor_objects = truth.contacts.iter().map(pose).collect::<PyResult<Vec<_>>>()?;
+        let touched_by = truth.touched_by.iter().map(|part| part.map_or(-1, i64::from));
         Ok(Self {
             index,
             time_s: py.detach(|| stage.lock().time_s(index)),
             points_mm: arrays::rows::<_, 3>(py, truth.points_mm.clone())?,
             indentation_mm: arrays::list(py, truth.indentation_mm.clone()),
             in_contact: arrays::list(py, truth.in_contact.clone()),
-            t_sensor_object: contact.map(|c| arrays::pose_matrix(py, &c.t_sensor_object)).transpose()?,
+            touched_by: arrays::list(py, touched_by.collect()),
+            t_sensor_object: t_sensor_objects.first().and_then(|pose| pose.as_ref()).map(|m| m.clone_ref(py)),
+            t_sensor_objects,
             simulator: simulator.clone().unbind(),
             truth,
             seen: OnceLock::new(),
@@ -152,7 +161,7 @@ impl SimulatedFrame {
         Ok(self.images(py)?[1].clone_ref(py))
     }
 
-    /// Loads that the part exerts on the gel, `SimulatedLoads`; None without ``effects.elastic_layer``.
+    /// Loads that the parts exert on the gel, `SimulatedLoads`; None without ``effects.elastic_layer``.
     #[getter]
     fn loads(&self, py: Python<'_>) -> PyResult<Option<SimulatedLoads>> {
         let Some(loads) = &self.truth.loads else { return Ok(None) };
@@ -161,6 +170,11 @@ impl SimulatedFrame {
             force_n: vector(loads.force_n),
             torque_nmm: vector(loads.torque_nmm),
             about_mm: vector(loads.about_mm),
+            part_force_n: arrays::rows::<_, 3>(py, loads.parts.iter().map(|part| part.force_n).collect())?,
+            part_torque_nmm: arrays::rows::<_, 3>(
+                py,
+                loads.parts.iter().map(|part| part.torque_nmm).collect(),
+            )?,
             traction_kpa: arrays::rows::<_, 3>(py, loads.traction_kpa.clone())?,
             stick: arrays::list(py, loads.stick.iter().map(|&stick| stick as u8).collect()),
         }))
@@ -197,7 +211,7 @@ impl SimulatedFrame {
     }
 }
 
-/// Loads that the simulated part exerts on the gel, N markers.
+/// Loads that the simulated parts exert on the gel, P parts and N markers.
 #[pyclass(frozen, get_all, module = "gelstereo")]
 pub struct SimulatedLoads {
     /// (3,) force, newtons along the sensor's axes.
@@ -206,9 +220,13 @@ pub struct SimulatedLoads {
     torque_nmm: Array1<f64>,
     /// (3,) centroid of the markers at rest, sensor frame.
     about_mm: Array1<f64>,
-    /// (N, 3) mean traction over the square around each marker, along the sensor's axes.
+    /// (P, 3) force of each part by its number.
+    part_force_n: Matrix,
+    /// (P, 3) torque of each part about `about_mm`.
+    part_torque_nmm: Matrix,
+    /// (N, 3) mean traction over the rectangle of a pitch around each marker, along the sensor's axes.
     traction_kpa: Matrix,
-    /// (N,) uint8 whether the gel sticks to the part at each marker, see `Stick`.
+    /// (N,) uint8 whether the gel sticks to a part at each marker, see `Stick`.
     stick: Array1<u8>,
 }
 

@@ -45,17 +45,18 @@ pub fn sights() -> std::collections::BTreeMap<&'static str, u8> {
 pub struct Simulator {
     stage: Mutex<sim::Simulator>,
     scene: Py<Scene>,
-    /// The indenter, if it is a mesh file.
-    mesh: Option<Arc<TriangleMesh>>,
+    /// The parts that are mesh files, each in its place among all parts.
+    meshes: Vec<Option<Arc<TriangleMesh>>>,
 }
 
 #[pymethods]
 impl Simulator {
     #[new]
     fn new(py: Python<'_>, scene: Py<Scene>) -> PyResult<Self> {
-        let mesh = indenter_mesh(py, scene.get())?;
-        let stage = py.detach(|| sim::Simulator::new(&scene.get().inner, mesh.as_deref())).map_err(raise)?;
-        Ok(Self { stage: Mutex::new(stage), scene, mesh })
+        let meshes = meshes_of(py, scene.get(), None)?;
+        let files = meshes.iter().filter_map(|mesh| mesh.as_deref());
+        let stage = py.detach(|| sim::Simulator::new(&scene.get().inner, files)).map_err(raise)?;
+        Ok(Self { stage: Mutex::new(stage), scene, meshes })
     }
 
     /// A simulator of the scene with some settings replaced, as `Scene.replace` does.
@@ -75,14 +76,11 @@ impl Simulator {
         changes: Option<&Bound<'_, PyMapping>>,
         settings: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Self> {
-        let before = self.scene.get();
-        let scene = before.replace(changes, settings)?;
-        let mesh = match &self.mesh {
-            Some(mesh) if scene.inner.indenter == before.inner.indenter => Some(mesh.clone()),
-            _ => indenter_mesh(py, &scene)?,
-        };
-        let stage = py.detach(|| self.lock().replaced(&scene.inner, mesh.as_deref())).map_err(raise)?;
-        Ok(Self { stage: Mutex::new(stage), scene: Py::new(py, scene)?, mesh })
+        let scene = self.scene.get().replace(changes, settings)?;
+        let meshes = meshes_of(py, &scene, Some(self))?;
+        let files = meshes.iter().filter_map(|mesh| mesh.as_deref());
+        let stage = py.detach(|| self.lock().replaced(&scene.inner, files)).map_err(raise)?;
+        Ok(Self { stage: Mutex::new(stage), scene: Py::new(py, scene)?, meshes })
     }
 
     /// A simulator of a random variation of the scene: domain randomization.
@@ -147,8 +145,8 @@ impl Simulator {
         let frame = frame.ok_or_else(|| {
             PyIndexError::new_err(format!("there is no frame {index}; the scene has {frames}"))
         })?;
-        let contact = py.detach(|| this.lock().contact(frame));
-        Self::moment(slf, contact.as_ref(), frame as u64)
+        let contacts = py.detach(|| this.lock().planned(frame));
+        Self::moment(slf, &contacts, frame as u64)
     }
 
     /// Iterates over the frames that arrive. Type checkers do not accept `__getitem__` alone.
@@ -158,16 +156,33 @@ impl Simulator {
         py.import("builtins")?.call_method1("map", (slf.getattr("__getitem__")?, indices))
     }
 
-    /// (4, 4) the pose moved along the sensor's z axis until the part reaches `press_mm` into the gel.
+    /// (4, 4) the pose moved along the sensor's z axis until a part reaches `press_mm` into the gel.
+    ///
+    /// Parameters
+    /// ----------
+    /// t_sensor_object : (4, 4) array_like
+    /// press_mm : float
+    /// part : int
+    ///     0 is the indenter, n the n-th of the scene's ``others``.
     ///
     /// Raises
     /// ------
     /// SceneError
-    ///     If the scene has no indenter, or the part would be far beyond the sensor.
-    fn pressed(&self, py: Python<'_>, t_sensor_object: &Bound<'_, PyAny>, press_mm: f64) -> PyResult<Matrix> {
+    ///     If the scene has no such part, or the part would be far beyond the sensor.
+    #[pyo3(
+        signature = (t_sensor_object, press_mm, part=Count(0)),
+        text_signature = "($self, t_sensor_object, press_mm, part=0)"
+    )]
+    fn pressed(
+        &self,
+        py: Python<'_>,
+        t_sensor_object: &Bound<'_, PyAny>,
+        press_mm: f64,
+        part: Count,
+    ) -> PyResult<Matrix> {
         let pose = arrays::pose(t_sensor_object, "t_sensor_object")?;
-        let pose = py.detach(|| self.lock().pressed(pose, press_mm));
-        let pose = pose.ok_or_else(|| SceneError::new_err(NO_INDENTER))?;
+        let pose = py.detach(|| self.lock().pressed_of(part.0, pose, press_mm));
+        let pose = pose.ok_or_else(|| self.no_part(py, part.0))?;
         let contact = sim::ContactState { t_sensor_object: pose, shear_mm: [0.0; 2], twist_rad: 0.0 };
         contact.validate().map_err(raise)?;
         arrays::pose_matrix(py, &pose)
@@ -183,17 +198,22 @@ impl Simulator {
     ///     Displacement of the surface by the contact, sensor x and y.
     /// twist_rad : float
     ///     Rotation of the surface by the contact.
+    /// others : sequence of (4, 4) array_like or None, optional
+    ///     Pose of each of the scene's ``others``; None of one that does not touch. Default: their trajectories
+    ///     at the frame.
     /// frame : int
     ///     Frame index, which seeds the noise and determines the time of the gel's motion and smears.
     #[pyo3(
-        signature = (t_sensor_object=None, *, shear_mm=None, twist_rad=0.0, frame=Count(0)),
-        text_signature = "($self, t_sensor_object=None, *, shear_mm=None, twist_rad=0.0, frame=0)"
+        signature = (t_sensor_object=None, *, shear_mm=None, twist_rad=0.0, others=None, frame=Count(0)),
+        text_signature =
+            "($self, t_sensor_object=None, *, shear_mm=None, twist_rad=0.0, others=None, frame=0)"
     )]
     fn press(
         slf: &Bound<'_, Self>,
         t_sensor_object: Option<&Bound<'_, PyAny>>,
         shear_mm: Option<(f64, f64)>,
         twist_rad: f64,
+        others: Option<Vec<Option<Bound<'_, PyAny>>>>,
         frame: Count,
     ) -> PyResult<SimulatedFrame> {
         let pose = t_sensor_object.map(|pose| arrays::pose(pose, "t_sensor_object")).transpose()?;
@@ -202,25 +222,23 @@ impl Simulator {
             shear_mm: shear_mm.unwrap_or_default().into(),
             twist_rad,
         });
-        if let Some(contact) = &contact {
-            contact.validate().map_err(raise)?;
-            if slf.get().scene.get().inner.indenter.is_none() {
-                return Err(SceneError::new_err(NO_INDENTER));
-            }
-        }
-        Self::moment(slf, contact.as_ref(), frame.0 as u64)
+        let contacts = slf.get().posed(slf.py(), contact, others, frame.0)?;
+        Self::moment(slf, &contacts, frame.0 as u64)
     }
 
     /// Move the part on from its last pose: the gel is dragged along, sticks and slips.
     ///
-    /// The result depends on all calls since the part was last taken away. The part moves along the shortest
+    /// The result depends on all calls since the part was last taken away. A part moves along the shortest
     /// path, in steps of at most 0.05 mm (or 256 steps). The first pose is pressed in without sideways
     /// motion. Images are not blurred by motion.
     ///
     /// Parameters
     /// ----------
     /// t_sensor_object : (4, 4) array_like, optional
-    ///     New pose of the part. None takes it away.
+    ///     New pose of the indenter. None takes it away.
+    /// others : sequence of (4, 4) array_like or None, optional
+    ///     New pose of each of the scene's ``others``; None takes one away. Default: their trajectories at the
+    ///     frame.
     /// frame : int
     ///     Frame index, which seeds the noise and determines the time of smears and gel motion.
     ///
@@ -233,29 +251,28 @@ impl Simulator {
     /// SceneError
     ///     If the scene has no ``effects.elastic_layer``, has ``relaxation``, or has no indenter.
     #[pyo3(
-        signature = (t_sensor_object=None, *, frame=Count(0)),
-        text_signature = "($self, t_sensor_object=None, *, frame=0)"
+        signature = (t_sensor_object=None, *, others=None, frame=Count(0)),
+        text_signature = "($self, t_sensor_object=None, *, others=None, frame=0)"
     )]
     fn advance(
         slf: &Bound<'_, Self>,
         t_sensor_object: Option<&Bound<'_, PyAny>>,
+        others: Option<Vec<Option<Bound<'_, PyAny>>>>,
         frame: Count,
     ) -> PyResult<SimulatedFrame> {
         let pose = t_sensor_object.map(|pose| arrays::pose(pose, "t_sensor_object")).transpose()?;
-        if pose.is_some() && slf.get().scene.get().inner.indenter.is_none() {
-            return Err(SceneError::new_err(NO_INDENTER));
-        }
         let this = slf.get();
+        let contacts = this.posed(slf.py(), pose.map(sim::ContactState::pressed), others, frame.0)?;
         let truth = slf.py().detach(|| {
+            let poses: Vec<_> = contacts.iter().map(|c| c.map(|c| c.t_sensor_object)).collect();
             let mut truth = sim::Truth::default();
-            this.lock().advance(pose, frame.0 as u64, &mut truth)?;
+            this.lock().advance_of(&poses, frame.0 as u64, &mut truth)?;
             Ok::<_, sim::SceneError>(truth)
         });
-        let contact = pose.map(sim::ContactState::pressed);
-        SimulatedFrame::new(slf, frame.0 as u64, contact.as_ref(), truth.map_err(raise)?)
+        SimulatedFrame::new(slf, frame.0 as u64, truth.map_err(raise)?)
     }
 
-    /// Move a pose along z until the part presses with a force.
+    /// Move a pose along z until the indenter alone presses with a force.
     ///
     /// Parameters
     /// ----------
@@ -320,16 +337,32 @@ impl Simulator {
             this.lock().placed(points_mm, frame.0 as u64, &mut truth)?;
             Ok::<_, sim::SceneError>(truth)
         });
-        SimulatedFrame::new(slf, frame.0 as u64, None, truth.map_err(raise)?)
+        SimulatedFrame::new(slf, frame.0 as u64, truth.map_err(raise)?)
     }
 }
 
-/// The surface of the scene's indenter, if it is a mesh file.
-fn indenter_mesh(py: Python<'_>, scene: &Scene) -> PyResult<Option<Arc<TriangleMesh>>> {
-    let Some(sim::Shape::Mesh { path, units }) = &scene.inner.indenter else { return Ok(None) };
-    let path = scene.folder.join(path).into_pyobject(py)?.into_any();
-    let (vertices_mm, triangles) = load_mesh(&path, &units.into_pyobject(py)?.into_any())?;
-    Ok(Some(Arc::new(triangle_mesh(&vertices_mm, &triangles)?)))
+/// The surfaces of the parts that are mesh files, each in its place; those that a simulator of a scene in the
+/// same folder has are not read again.
+fn meshes_of(
+    py: Python<'_>,
+    scene: &Scene,
+    before: Option<&Simulator>,
+) -> PyResult<Vec<Option<Arc<TriangleMesh>>>> {
+    let known = |shape: &sim::Shape| {
+        let before = before?;
+        let mut parts = before.scene.get().inner.parts().zip(&before.meshes);
+        parts.find(|((other, _), _)| *other == shape).and_then(|(_, mesh)| mesh.clone())
+    };
+    let read = |shape: &sim::Shape| {
+        let sim::Shape::Mesh { path, units } = shape else { return Ok(None) };
+        if let Some(mesh) = known(shape) {
+            return Ok(Some(mesh));
+        }
+        let path = scene.folder.join(path).into_pyobject(py)?.into_any();
+        let (vertices_mm, triangles) = load_mesh(&path, &units.into_pyobject(py)?.into_any())?;
+        Ok(Some(Arc::new(triangle_mesh(&vertices_mm, &triangles)?)))
+    };
+    scene.inner.parts().map(|(shape, _)| read(shape)).collect()
 }
 
 impl Simulator {
@@ -341,10 +374,48 @@ impl Simulator {
         &self.scene.get().inner.rig
     }
 
+    /// Contacts of all parts: of the indenter as given, of the others by their poses or their trajectories.
+    fn posed(
+        &self,
+        py: Python<'_>,
+        first: Option<sim::ContactState>,
+        others: Option<Vec<Option<Bound<'_, PyAny>>>>,
+        frame: usize,
+    ) -> PyResult<Vec<Option<sim::ContactState>>> {
+        let mut contacts = py.detach(|| self.lock().planned(frame));
+        match contacts.first_mut() {
+            Some(contact) => *contact = first,
+            None if first.is_some() => return Err(SceneError::new_err(NO_INDENTER)),
+            None => {}
+        }
+        if let Some(poses) = others {
+            let (found, parts) = (poses.len(), contacts.len().saturating_sub(1));
+            if found != parts {
+                return Err(SceneError::new_err(format!(
+                    "others has {found} poses, but the scene has {parts} others; give each a pose, or None"
+                )));
+            }
+            for (contact, pose) in contacts.iter_mut().skip(1).zip(poses) {
+                let pose = pose.map(|pose| arrays::pose(&pose, "others")).transpose()?;
+                *contact = pose.map(sim::ContactState::pressed);
+            }
+        }
+        contacts.iter().flatten().try_for_each(sim::ContactState::validate).map_err(raise)?;
+        Ok(contacts)
+    }
+
+    /// Why a part's number is not valid.
+    fn no_part(&self, py: Python<'_>, part: usize) -> PyErr {
+        match py.detach(|| self.lock().parts()) {
+            0 => SceneError::new_err(NO_INDENTER),
+            parts => SceneError::new_err(format!("there is no part {part}; the scene has {parts}, from 0")),
+        }
+    }
+
     /// Simulates the markers in space; the camera views are computed on access.
     fn moment(
         slf: &Bound<'_, Self>,
-        contact: Option<&sim::ContactState>,
+        contacts: &[Option<sim::ContactState>],
         frame: u64,
     ) -> PyResult<SimulatedFrame> {
         let this = slf.get();
@@ -352,12 +423,12 @@ impl Simulator {
             let (mut stage, mut truth) = (this.lock(), sim::Truth::default());
             // Motion within an exposure is not stored, so dots with motion blur are computed now.
             match stage.plan().scene.effects.motion_blur {
-                Some(_) => stage.moment(contact, frame, &mut truth),
-                None => stage.field(contact, frame, &mut truth),
+                Some(_) => stage.moment_of(contacts, frame, &mut truth),
+                None => stage.field_of(contacts, frame, &mut truth),
             }
             truth
         });
-        SimulatedFrame::new(slf, frame, contact, truth)
+        SimulatedFrame::new(slf, frame, truth)
     }
 }
 

@@ -67,18 +67,18 @@ impl Pull {
         Self(Screened::new(lattice, drag.decay_thicknesses * lattice.thickness_mm))
     }
 
-    /// Adds the motion of every marker when the `stuck` ones move with the part.
-    pub(crate) fn pull(&mut self, grip: &Grip, (rest, stuck): (&[DVec2], &[bool]), motion: &mut [DVec2]) {
+    /// Adds the motion of every marker when the `stuck` ones are carried along.
+    pub(crate) fn pull(&mut self, carried: impl Fn(usize) -> DVec2, stuck: &[bool], motion: &mut [DVec2]) {
         let Self(membrane) = self;
         membrane.hold(|i| Motion::even(if stuck[i] { 0.0 } else { 1.0 }));
-        membrane.start(|i| Motion(if stuck[i] { grip.motion_mm(rest[i]) } else { DVec2::ZERO }));
+        membrane.start(|i| Motion(if stuck[i] { carried(i) } else { DVec2::ZERO }));
         membrane.settle_beside();
         motion.iter_mut().zip(membrane.values()).for_each(|(u, Motion(along))| *u += along);
     }
 }
 
 /// The part's rigid motion in the plane since it touched.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Grip {
     pub(crate) centre_mm: DVec2,
     shear_mm: DVec2,

@@ -1,12 +1,11 @@
 //! Properties of a scene that are known before the simulation.
 
 use crate::plan::Bound;
-use crate::scene::{Scene, SceneError};
-use crate::shapes::Shape;
+use crate::scene::{Gel, Keyframe, Scene};
+use crate::shapes::{Shape, Solid};
 use gelstereo_core::camera::Camera;
 use gelstereo_core::math::{DVec2, DVec3, Pose, cos, sin, so3, sqrt};
 use gelstereo_core::rig::{Rig, View};
-use gelstereo_core::surface::TriangleMesh;
 
 /// Inputs of the bounds. The scene excludes the effects that are forced off.
 #[derive(Clone, Debug)]
@@ -20,16 +19,18 @@ pub(crate) struct Facts<'a> {
     pub(crate) optics: Optics,
 }
 
-/// The part and the gel in the worst case along the trajectory.
+/// The parts and the gel in the worst case along the trajectories: all parts at once, each as if it were
+/// alone.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Touch {
     /// Depth of the part in the gel; at most the gel's thickness, and 0 without contact.
     pub(crate) depth_mm: f64,
     /// Steepest slope of the part's surface; infinite at a vertical wall.
     pub(crate) steepness: f64,
-    /// Longest distance between two points of the part's section with the rest surface.
+    /// Longest distance between two points of a part's section with the rest surface, summed over the
+    /// parts.
     pub(crate) span_mm: f64,
-    /// Upper bound of that section's area.
+    /// Upper bound of the sections' area.
     pub(crate) footprint_mm2: f64,
     /// Lever arm of the part's visible rotation about its origin: 0 for a ball.
     pub(crate) arm_mm: f64,
@@ -57,14 +58,13 @@ pub(crate) struct Optics {
 }
 
 impl<'a> Facts<'a> {
-    /// `mesh` is the indenter's surface when its shape is a mesh file.
-    pub(crate) fn of(scene: &'a Scene, mesh: Option<&TriangleMesh>) -> Result<Self, SceneError> {
-        let touch = Touch::of(scene, mesh)?;
+    pub(crate) fn of(scene: &'a Scene, parts: &[Solid<'_>]) -> Self {
+        let touch = Touch::of(scene, parts);
         let mut facts = Self { scene, touch, sideways_mm: 0.0, stretch: 0.0, optics: Optics::default() };
         facts.sideways_mm = scene.effects.listed().map(|(_, effect)| effect.sideways_mm(&facts)).sum();
         facts.stretch = scene.effects.listed().map(|(_, effect)| effect.stretch(&facts)).sum();
         facts.optics = Optics::of(&facts);
-        Ok(facts)
+        facts
     }
 
     pub(crate) fn markers(&self) -> f64 {
@@ -180,34 +180,45 @@ impl<'a> Facts<'a> {
 }
 
 impl Touch {
-    fn of(scene: &Scene, mesh: Option<&TriangleMesh>) -> Result<Self, SceneError> {
-        let Some(shape) = &scene.indenter else { return Ok(Self::default()) };
-        let part = match (shape, mesh) {
-            (Shape::Mesh { path, .. }, None) => return Err(SceneError::MeshNeeded { path: path.clone() }),
-            (Shape::Mesh { .. }, Some(mesh)) => Part::Mesh(mesh),
-            (_, Some(_)) => return Err(SceneError::MeshNotNeeded),
-            (shape, None) => Part::Solid(shape),
-        };
+    fn of(scene: &Scene, parts: &[Solid<'_>]) -> Self {
         let gel = &scene.gel;
-        let thickness_mm = gel.thickness_mm;
-        let depth_mm = part.depth_mm(scene).clamp(0.0, thickness_mm);
         let sides = [gel.cols as f64 * gel.pitch_mm.x_mm, gel.rows as f64 * gel.pitch_mm.y_mm];
+        let trajectories = scene.parts().map(|(_, trajectory)| trajectory);
+        let all =
+            parts.iter().zip(trajectories).map(|(part, trajectory)| Self::of_part(gel, part, trajectory));
+        let touch = all.fold(Self::default(), |a, b| Self {
+            depth_mm: a.depth_mm.max(b.depth_mm),
+            steepness: a.steepness.max(b.steepness),
+            span_mm: a.span_mm + b.span_mm,
+            footprint_mm2: a.footprint_mm2 + b.footprint_mm2,
+            arm_mm: a.arm_mm.max(b.arm_mm),
+            shear_mm: a.shear_mm.max(b.shear_mm),
+            twist_rad: a.twist_rad.max(b.twist_rad),
+        });
+        Self {
+            span_mm: touch.span_mm.min(DVec2::from_array(sides).length()),
+            footprint_mm2: touch.footprint_mm2.min(sides[0] * sides[1]),
+            ..touch
+        }
+    }
+
+    fn of_part(gel: &Gel, part: &Solid<'_>, trajectory: &[Keyframe]) -> Self {
+        let depth_mm = part.depth_mm(gel, trajectory).clamp(0.0, gel.thickness_mm);
         let (span_mm, steepness) = part.footprint(depth_mm);
-        let all = scene.trajectory.iter().map(|k| k.contact);
+        let all = trajectory.iter().map(|k| k.contact);
         let shear = all.clone().map(|c| DVec2::from_array(c.shear_mm).length()).fold(0.0, f64::max);
         let twist = all.map(|c| c.twist_rad.abs()).fold(0.0, f64::max);
-        let span_mm = span_mm.min(DVec2::from_array(sides).length());
-        Ok(Self {
+        Self {
             depth_mm,
             steepness,
             span_mm,
             // A disc has the largest area for a given span.
-            footprint_mm2: (0.25 * core::f64::consts::PI * span_mm * span_mm).min(sides[0] * sides[1]),
-            arm_mm: if matches!(shape, Shape::Sphere { .. }) { 0.0 } else { part.radius_mm() },
+            footprint_mm2: 0.25 * core::f64::consts::PI * span_mm * span_mm,
+            arm_mm: if part.is_ball() { 0.0 } else { part.radius_mm() },
             // Without a trajectory any contact is possible.
-            shear_mm: if scene.trajectory.is_empty() { f64::INFINITY } else { shear },
-            twist_rad: if scene.trajectory.is_empty() { f64::INFINITY } else { twist },
-        })
+            shear_mm: if trajectory.is_empty() { f64::INFINITY } else { shear },
+            twist_rad: if trajectory.is_empty() { f64::INFINITY } else { twist },
+        }
     }
 
     /// Largest motion of a marker that sticks to the part: shear, and twist about a point within the
@@ -222,26 +233,16 @@ impl Touch {
     }
 }
 
-enum Part<'a> {
-    Solid(&'a Shape),
-    Mesh(&'a TriangleMesh),
-}
-
-impl Part<'_> {
-    fn support_mm(&self, direction: DVec3) -> f64 {
-        match self {
-            Self::Solid(shape) => shape.support_mm(direction).unwrap_or(f64::INFINITY),
-            Self::Mesh(mesh) => {
-                mesh.vertices_mm().iter().map(|v| v.dot(direction)).fold(f64::NEG_INFINITY, f64::max)
-            }
-        }
+impl Solid<'_> {
+    fn is_ball(&self) -> bool {
+        matches!(self, Self::Shape(Shape::Sphere { .. }))
     }
 
     /// Distance of the farthest point from the origin.
     fn radius_mm(&self) -> f64 {
         match self {
-            Self::Solid(Shape::Sphere { radius_mm }) => *radius_mm,
-            Self::Solid(_) => {
+            Self::Shape(Shape::Sphere { radius_mm }) => *radius_mm,
+            Self::Shape(_) => {
                 let half = [DVec3::X, DVec3::Y, DVec3::Z]
                     .map(|axis| self.support_mm(axis).max(self.support_mm(-axis)));
                 DVec3::from_array(half).length()
@@ -253,12 +254,12 @@ impl Part<'_> {
     /// Largest depth beyond the rest surface in any frame. Between two keyframes the depth is linear
     /// except for the rotation, which moves the nearest point by at most its radius times the angle to
     /// the nearer keyframe.
-    fn depth_mm(&self, scene: &Scene) -> f64 {
+    fn depth_mm(&self, gel: &Gel, trajectory: &[Keyframe]) -> f64 {
         let depth = |pose: &Pose| {
             let towards_camera = pose.rotation.conjugate() * DVec3::NEG_Z;
-            scene.gel.surface_mm - pose.translation_mm.z + self.support_mm(towards_camera)
+            gel.surface_mm - pose.translation_mm.z + self.support_mm(towards_camera)
         };
-        let poses = || scene.trajectory.iter().map(|k| k.contact.t_sensor_object);
+        let poses = || trajectory.iter().map(|k| k.contact.t_sensor_object);
         let Some(first) = poses().next() else { return f64::INFINITY };
         let mut deepest = depth(&first);
         for (from, to) in poses().zip(poses().skip(1)) {
@@ -273,7 +274,7 @@ impl Part<'_> {
     fn footprint(&self, depth_mm: f64) -> (f64, f64) {
         let radius_mm = self.radius_mm();
         let left = radius_mm - depth_mm;
-        if matches!(self, Self::Solid(Shape::Sphere { .. })) && left > 0.0 {
+        if self.is_ball() && left > 0.0 {
             let half = sqrt(radius_mm * radius_mm - left * left);
             return (2.0 * half, half / left);
         }

@@ -25,6 +25,7 @@ pub(crate) use facts::Facts;
 
 use crate::effects::Optics;
 use crate::scene::{Scene, SceneError};
+use crate::shapes::Solid;
 use alloc::format;
 use alloc::string::String;
 use alloc::vec::Vec;
@@ -77,18 +78,22 @@ pub enum Why {
 }
 
 impl Plan {
-    /// Plans a scene; `mesh` is the indenter's surface when its shape is a mesh file.
+    /// Plans a scene; `meshes` are the surfaces of the parts whose shapes are mesh files, in their order.
     ///
     /// # Errors
     /// As [`crate::Simulator::new`].
-    pub fn of(scene: &Scene, mesh: Option<&TriangleMesh>) -> Result<Self, SceneError> {
+    pub fn of<'a>(
+        scene: &'a Scene,
+        meshes: impl IntoIterator<Item = &'a TriangleMesh>,
+    ) -> Result<Self, SceneError> {
         scene.validate()?;
+        let parts = Solid::of(scene, meshes)?;
         // Bounds are computed without the effects that are forced off. Those of the forced-off effects
         // themselves use the whole scene.
         let forced_off = |effect: &str| scene.switches.of(effect) == Some(Switch::Off);
         let rest = without(scene, forced_off);
-        let rest = described(&Facts::of(&rest, mesh)?);
-        let whole = described(&Facts::of(scene, mesh)?);
+        let rest = described(&Facts::of(&rest, &parts));
+        let whole = described(&Facts::of(scene, &parts));
         let entry = |(effect, bound, cost_ns)| {
             let switch = scene.switches.of(effect);
             let why = if switch.is_none() { Why::NothingAsked } else { Why::Switched };

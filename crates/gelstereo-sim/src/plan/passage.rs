@@ -6,7 +6,7 @@ use gelstereo_core::math::{DVec2, so3};
 /// Maximum speeds of part and gel on their trajectories, per second.
 #[derive(Clone, Copy, Debug, Default)]
 struct Pace {
-    /// A point of the part, in the plane of the gel and along the sensor's z, including rotation.
+    /// A point of a part, in the plane of the gel and along the sensor's z, including rotation.
     part_mm: [f64; 2],
     /// Gel that sticks to the part: shear and twist.
     grip: f64,
@@ -17,7 +17,9 @@ struct Pace {
 impl Pace {
     fn of(facts: &Facts<'_>) -> Self {
         let mut pace = Self::default();
-        for (a, b) in facts.scene.trajectory.iter().zip(facts.scene.trajectory.iter().skip(1)) {
+        let steps =
+            facts.scene.parts().flat_map(|(_, keyframes)| keyframes.iter().zip(keyframes.iter().skip(1)));
+        for (a, b) in steps {
             let per_s = 1.0 / (b.time_s - a.time_s);
             let (a, b) = (a.contact, b.contact);
             let away = b.t_sensor_object.translation_mm - a.t_sensor_object.translation_mm;

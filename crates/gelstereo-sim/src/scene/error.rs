@@ -86,12 +86,12 @@ pub enum SceneError {
         /// The effect.
         effect: &'static str,
     },
-    /// The indenter is a mesh file whose triangles were not passed.
+    /// A part is a mesh file whose triangles were not passed.
     MeshNeeded {
         /// The file.
         path: String,
     },
-    /// Triangles were passed for an indenter that is not a mesh file.
+    /// Triangles were passed for a part that is not a mesh file.
     MeshNotNeeded,
 }
 
@@ -152,15 +152,12 @@ impl core::fmt::Display for SceneError {
                  {{ kind = \"positions\", tolerance_px = 0.01 }}, or switch it on or off"
             ),
             Self::MeshNeeded { path } => {
-                write!(
-                    f,
-                    "the indenter is the mesh file {path:?}; read it and hand its triangles over, in mm"
-                )
+                write!(f, "a part is the mesh file {path:?}; read it and hand its triangles over, in mm")
             }
             Self::MeshNotNeeded => write!(
                 f,
-                "triangles were passed, but the indenter is not a mesh file; use kind = \"mesh\" or leave \
-                them out"
+                "triangles were passed for a part that is not a mesh file; use kind = \"mesh\" or leave them \
+                out"
             ),
         }
     }

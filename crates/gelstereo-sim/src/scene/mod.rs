@@ -44,6 +44,8 @@ pub struct Scene {
     pub switches: Switches,
     /// Poses of the part over time, interpolated. If empty, nothing touches the gel. Default: empty.
     pub trajectory: Vec<Keyframe>,
+    /// Further parts that press into the same gel, `[[others]]` in a file. Default: none.
+    pub others: Vec<Other>,
     /// Motion of the gel relative to the cameras, `[[gel_motion]]` in a file, interpolated. If empty, the gel
     /// does not move. Default: empty.
     pub gel_motion: Vec<GelKeyframe>,
@@ -62,9 +64,21 @@ impl Default for Scene {
             asked: None,
             switches: Switches::default(),
             trajectory: Vec::new(),
+            others: Vec::new(),
             gel_motion: Vec::new(),
         }
     }
+}
+
+/// A further part, with a trajectory of its own.
+#[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(deny_unknown_fields))]
+pub struct Other {
+    /// Its shape, as [`Scene::indenter`].
+    pub indenter: Shape,
+    /// Its poses over time, as [`Scene::trajectory`]. Default: empty.
+    #[cfg_attr(feature = "serde", serde(default))]
+    pub trajectory: Vec<Keyframe>,
 }
 
 /// Methods (rungs) of drawing blurred dots.
@@ -227,6 +241,9 @@ impl From<Keyframe> for KeyframeFields {
     }
 }
 
+/// Each part's heights are evaluated at every marker or cell.
+const MAX_OTHERS: usize = 63;
+
 impl Scene {
     /// Two parallel 640x480 cameras of f = 560 px, 8 mm apart.
     #[must_use]
@@ -257,12 +274,16 @@ impl Scene {
         }
         self.gel.validate()?;
         self.check_sight()?;
-        if let Some(indenter) = &self.indenter {
-            indenter.validate()?;
-        }
+        self.parts().try_for_each(|(shape, _)| shape.validate())?;
         self.effects.validate(&self.gel)?;
         self.check_switches()?;
         self.check_trajectory()
+    }
+
+    /// The indenter and the others with their trajectories, in this order: the parts by their number.
+    pub fn parts(&self) -> impl Iterator<Item = (&Shape, &[Keyframe])> {
+        let first = self.indenter.iter().map(|shape| (shape, &*self.trajectory));
+        first.chain(self.others.iter().map(|other| (&other.indenter, &*other.trajectory)))
     }
 
     fn check_switches(&self) -> Result<(), SceneError> {
@@ -296,11 +317,19 @@ impl Scene {
     fn check_trajectory(&self) -> Result<(), SceneError> {
         let rate = self.frame_rate_hz;
         SceneError::check(rate > 0.0 && rate <= 1e4, "frame_rate_hz", rate, "above 0, at most 10000 Hz")?;
-        if self.indenter.is_none() && !self.trajectory.is_empty() {
-            return Err(SceneError::NothingMoves { keyframes: self.trajectory.len() });
+        let found = self.others.len();
+        if self.indenter.is_none() {
+            if !self.trajectory.is_empty() {
+                return Err(SceneError::NothingMoves { keyframes: self.trajectory.len() });
+            }
+            SceneError::check(found == 0, "number of others without an indenter", found as f64, "0")?;
         }
-        self.trajectory.iter().try_for_each(|k| k.contact.validate())?;
-        check_times("trajectory", self.trajectory.iter().map(|k| k.time_s))?;
+        SceneError::check(found <= MAX_OTHERS, "number of others", found as f64, "0 to 63")?;
+        for (part, (_, keyframes)) in self.parts().enumerate() {
+            keyframes.iter().try_for_each(|k| k.contact.validate())?;
+            let list = if part == 0 { "trajectory" } else { "a trajectory of others" };
+            check_times(list, keyframes.iter().map(|k| k.time_s))?;
+        }
         for k in &self.gel_motion {
             for found in k.shift_mm {
                 SceneError::check(found.abs() <= 1e4, "gel_motion.shift_mm", found, "-10000 to 10000 mm")?;

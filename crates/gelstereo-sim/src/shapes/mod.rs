@@ -2,9 +2,11 @@
 
 mod height;
 mod raster;
+mod solid;
 mod triangles;
 
 pub(crate) use raster::MeshHeight;
+pub(crate) use solid::Solid;
 
 use crate::scene::SceneError;
 use alloc::string::String;

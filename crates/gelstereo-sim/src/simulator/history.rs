@@ -5,7 +5,6 @@
 
 use super::Simulator;
 use super::layered::Layered;
-use crate::effects::ElasticLayer;
 use crate::layer::Start;
 use crate::scene::SceneError;
 use crate::simulator::{ContactState, Truth};
@@ -21,23 +20,81 @@ const MAX_STEPS: f64 = 256.0;
 /// differ by at most 0.5, 0.2 and 0.04 % of the largest from those with 4.
 const ROUNDS: usize = 2;
 
-/// Where the part and the cells were after the last step.
+/// Where the parts and the cells were after the last step.
 #[derive(Clone, Debug, Default)]
 pub(super) struct History {
-    /// `None` before the first contact.
-    t_sensor_object: Option<Pose>,
+    /// Paths of the parts; the last pose of each is `None` before it touches.
+    paths: Vec<Path>,
     touching: Vec<bool>,
+    /// The part that each cell is under.
+    part: Vec<u8>,
     /// Motion of every cell: into the layer, and along the lattice's axes.
     into: Vec<f64>,
     aside: [Vec<f64>; 2],
 }
 
+/// Shortest path of a part from its last pose to the next.
+#[derive(Clone, Copy, Debug)]
+struct Path {
+    from: Option<Pose>,
+    to: Option<Pose>,
+    /// Twist of the whole path.
+    omega: DVec3,
+    v_mm: DVec3,
+    /// Where it is on the path, and its motion since the last step.
+    now: Option<Pose>,
+    motion: Pose,
+}
+
+impl Path {
+    /// Of a part that has not touched.
+    const NONE: Self = Self {
+        from: None,
+        to: None,
+        omega: DVec3::ZERO,
+        v_mm: DVec3::ZERO,
+        now: None,
+        motion: Pose::IDENTITY,
+    };
+
+    /// Begins a path from the end of this one.
+    fn begin(&mut self, to: Option<Pose>) {
+        let from = self.now.or(to);
+        let (omega, v_mm) = match (from, to) {
+            (Some(from), Some(to)) if self.now.is_some() => (from.inverse() * to).log(),
+            _ => (DVec3::ZERO, DVec3::ZERO),
+        };
+        *self = Self { from, to, omega, v_mm, now: self.now, motion: Pose::IDENTITY };
+    }
+
+    /// Motion from the beginning to the end.
+    fn whole(&self) -> Pose {
+        match (self.now, self.to) {
+            (Some(from), Some(to)) => to * from.inverse(),
+            _ => Pose::IDENTITY,
+        }
+    }
+
+    /// Goes on to a share of the path.
+    fn go(&mut self, share: f64) {
+        let Self { from, omega, v_mm, .. } = *self;
+        let along = |from: Pose| from * Pose::exp(omega * share, v_mm * share);
+        let next = if share < 1.0 { self.to.and(from).map(along) } else { self.to };
+        self.motion = match (self.now, next) {
+            (Some(before), Some(next)) => next * before.inverse(),
+            _ => Pose::IDENTITY,
+        };
+        self.now = next;
+    }
+}
+
 impl Simulator {
-    /// Moves the part to a pose along the shortest path from the last call, and gives the markers there.
-    /// Cells in contact are dragged along, and slip where friction does not hold them: the result depends on
-    /// all calls since the part was last taken away, by `None`. The first pose after that is pressed in
-    /// without sideways motion. Steps are at most 0.05 mm long, or more on a path of more than 256 of them.
-    /// `frame` sets the time of gel motion and smears; nothing is blurred by motion.
+    /// Moves the indenter to a pose along the shortest path from the last call, and gives the markers there.
+    /// The other parts move to where their trajectories have them at the frame. Cells in contact are dragged
+    /// along, and slip where friction does not hold them: the result depends on all calls since a part was
+    /// last taken away, by `None`. The first pose after that is pressed in without sideways motion. Steps
+    /// are at most 0.05 mm long, or more on a path of more than 256 of them. `frame` sets the time of gel
+    /// motion and smears; nothing is blurred by motion.
     ///
     /// # Errors
     /// [`SceneError::NeedsHistory`] unless the scene has `elastic_layer` and no `relaxation`;
@@ -50,6 +107,27 @@ impl Simulator {
     ) -> Result<(), SceneError> {
         let contact = t_sensor_object.map(ContactState::pressed);
         contact.as_ref().map_or(Ok(()), ContactState::validate)?;
+        self.pose(contact.as_ref(), frame);
+        self.posed_advance(frame, out)
+    }
+
+    /// [`Self::advance`] of every part to a pose, by its number; those that are missing are taken away.
+    ///
+    /// # Errors
+    /// As [`Self::advance`].
+    pub fn advance_of(
+        &mut self,
+        t_sensor_objects: &[Option<Pose>],
+        frame: u64,
+        out: &mut Truth,
+    ) -> Result<(), SceneError> {
+        let contacts: Vec<_> = t_sensor_objects.iter().map(|pose| pose.map(ContactState::pressed)).collect();
+        contacts.iter().flatten().try_for_each(ContactState::validate)?;
+        self.pose_all(&contacts);
+        self.posed_advance(frame, out)
+    }
+
+    fn posed_advance(&mut self, frame: u64, out: &mut Truth) -> Result<(), SceneError> {
         let mut layered = match self.layered.take() {
             Some(layered) if !layered.has_memory() => layered,
             layered => {
@@ -58,73 +136,101 @@ impl Simulator {
             }
         };
         self.settle(self.time_s(frame));
-        match &contact {
-            Some(contact) if self.part.is_some() => self.travel(&mut layered, contact.t_sensor_object),
-            _ => {
-                layered.contact.release();
-                layered.history.t_sensor_object = None;
-            }
-        }
+        let contacts = core::mem::take(&mut self.scratch.contacts);
+        self.travel(&mut layered, &contacts);
         layered.forget_solved();
         self.scratch.motion.clear();
         self.scratch.motion.resize(self.rest.len(), DVec2::ZERO);
         layered.nodes.motion(&layered.contact, &mut layered.motion);
         self.follow(&layered.motion);
-        self.meet(contact.as_ref().filter(|_| self.part.is_some()), &layered);
-        self.layered = Some(layered);
+        self.meet(&contacts, &layered);
+        (self.scratch.contacts, self.layered) = (contacts, Some(layered));
         self.write_field(out);
         out.forget_views();
         Ok(())
     }
 
-    /// Takes all steps to a pose.
-    fn travel(&mut self, layered: &mut Layered, to: Pose) {
-        let Some(from) = layered.history.t_sensor_object else {
-            layered.history.begin(layered.cells());
-            layered.place(self.centre_mm, self.lattice.axes, None);
-            return self.step(layered, to);
-        };
-        let (omega, v_mm) = (from.inverse() * to).log();
-        let longest_mm = self.longest_mm(layered, &(to * from.inverse()), &to);
+    /// Takes all steps to these poses.
+    fn travel(&mut self, layered: &mut Layered, contacts: &[Option<ContactState>]) {
+        let cells = layered.contact.pressure().len();
+        let history = &mut layered.history;
+        history.paths.resize(contacts.len(), Path::NONE);
+        if history.paths.iter().all(|path| path.now.is_none()) {
+            history.begin(cells);
+        }
+        for (path, contact) in history.paths.iter_mut().zip(contacts) {
+            path.begin(contact.map(|contact| contact.t_sensor_object));
+        }
+        if contacts.iter().all(Option::is_none) {
+            history.paths.iter_mut().for_each(|path| path.go(1.0));
+            return layered.contact.release();
+        }
+        layered.lay(self.centre_mm, self.lattice.axes);
+        let longest_mm = self.longest_mm(layered, contacts);
         let steps = ceil(longest_mm / MAX_STEP_MM).clamp(1.0, MAX_STEPS);
-        let mut before = from;
         for step in 1..=steps as u32 {
-            let share = f64::from(step) / steps;
-            let next = if share < 1.0 { from * Pose::exp(omega * share, v_mm * share) } else { to };
-            layered.carry(self.centre_mm, self.lattice.axes, self.surface_mm, &(next * before.inverse()));
-            self.step(layered, next);
-            before = next;
+            layered.history.paths.iter_mut().for_each(|path| path.go(f64::from(step) / steps));
+            self.step(layered);
         }
     }
 
-    /// Largest motion of the part at a cell that it touches now or then.
-    fn longest_mm(&mut self, layered: &mut Layered, motion: &Pose, to: &Pose) -> f64 {
-        layered.carry(self.centre_mm, self.lattice.axes, self.surface_mm, motion);
-        self.heights(&ContactState::pressed(*to), &layered.at, &mut layered.heights);
+    /// Largest motion of a part at a cell that it touches now or then.
+    fn longest_mm(&mut self, layered: &mut Layered, contacts: &[Option<ContactState>]) -> f64 {
+        let mut whole = core::mem::take(&mut self.scratch.motions);
+        whole.clear();
+        whole.extend(layered.history.paths.iter().map(Path::whole));
+        self.find(layered, contacts, &whole);
+        let Layered { history, obstacle, rest, .. } = layered;
         let mut longest_mm = 0.0_f64;
-        for (cell, (&height, rest)) in layered.heights.iter().zip(&layered.rest).enumerate() {
-            if height > 0.0 || layered.history.touching[cell] {
-                let point = rest.extend(self.surface_mm - layered.history.into[cell]);
-                longest_mm = longest_mm.max((motion.transform_point(point) - point).length());
+        for (cell, &rest) in rest.iter().enumerate() {
+            let point = rest.extend(self.surface_mm - history.into[cell]);
+            let then = (obstacle.heights[cell] > 0.0).then_some(obstacle.part[cell]);
+            let now = history.touching[cell].then_some(history.part[cell]);
+            for part in then.into_iter().chain(now) {
+                let moved_mm = (whole[usize::from(part)].transform_point(point) - point).length();
+                longest_mm = longest_mm.max(moved_mm);
             }
         }
+        self.scratch.motions = whole;
         longest_mm
     }
 
-    /// Solves the contact at a pose, with the cells asked to where they were carried.
-    fn step(&mut self, layered: &mut Layered, pose: Pose) {
-        let contact = ContactState::pressed(pose);
-        self.heights(&contact, &layered.at, &mut layered.heights);
+    /// Finds the parts over the cells, each moved by the part that it touched in the last step.
+    fn find(&mut self, layered: &mut Layered, contacts: &[Option<ContactState>], motions: &[Pose]) {
+        let (axes, surface_mm) = (self.lattice.axes, self.surface_mm);
+        let Layered { history, obstacle, rest, .. } = layered;
+        let place = |_: usize, cell: usize| {
+            let (here, point) = history.here(cell, rest[cell], (axes, surface_mm));
+            let moved = |part: u8| (motions[usize::from(part)].transform_point(point) - point).truncate();
+            // Gel that no part touches stays.
+            if history.touching[cell] { here + moved(history.part[cell]) } else { here }
+        };
+        self.highest(contacts, (rest.len(), place), obstacle);
+    }
+
+    /// Solves the contact with the parts where they are on their paths: every cell is asked to follow its
+    /// part from where it is.
+    fn step(&mut self, layered: &mut Layered) {
+        let mut contacts = core::mem::take(&mut self.scratch.meanwhile);
+        let mut motions = core::mem::take(&mut self.scratch.motions);
+        contacts.clear();
+        contacts.extend(layered.history.paths.iter().map(|path| path.now.map(ContactState::pressed)));
+        motions.clear();
+        motions.extend(layered.history.paths.iter().map(|path| path.motion));
+        self.find(layered, &contacts, &motions);
+        let (axes, surface_mm) = (self.lattice.axes, self.surface_mm);
+        let (history, rest) = (core::mem::take(&mut layered.history), core::mem::take(&mut layered.rest));
+        let carried = |part: usize, cell: usize| {
+            let (_, point) = history.here(cell, rest[cell], (axes, surface_mm));
+            let moved = (motions[part].transform_point(point) - point).truncate();
+            [0, 1].map(|axis| history.aside[axis][cell] + moved.dot(axes[axis]))
+        };
         // Other contacts may have been solved since the last step.
-        layered.solve(Start::Afresh);
-        for _round in 0..ROUNDS {
-            if layered.replace(self.lattice.axes) <= ElasticLayer::TOLERANCE_MM {
-                break;
-            }
-            self.heights(&contact, &layered.at, &mut layered.heights);
-            layered.solve(Start::Last);
-        }
-        layered.remember_step(pose);
+        layered.solve(Start::Afresh, carried);
+        self.meet_displaced(layered, &contacts, (ROUNDS, &rest), carried);
+        (layered.history, layered.rest) = (history, rest);
+        (self.scratch.meanwhile, self.scratch.motions) = (contacts, motions);
+        layered.remember_step();
     }
 }
 
@@ -132,40 +238,28 @@ impl History {
     fn begin(&mut self, cells: usize) {
         self.touching.clear();
         self.touching.resize(cells, false);
+        self.part.clear();
+        self.part.resize(cells, 0);
         let [x, y] = &mut self.aside;
         for field in [&mut self.into, x, y] {
             field.clear();
             field.resize(cells, 0.0);
         }
     }
+
+    /// Where a cell is in the plane and in space.
+    fn here(&self, cell: usize, rest: DVec2, (axes, surface_mm): ([DVec2; 2], f64)) -> (DVec2, DVec3) {
+        let here = rest + axes[0] * self.aside[0][cell] + axes[1] * self.aside[1][cell];
+        (here, here.extend(surface_mm - self.into[cell]))
+    }
 }
 
 impl Layered {
-    fn cells(&self) -> usize {
-        self.contact.pressure().len()
-    }
-
-    /// Asks every cell to follow a motion of the part from where it is.
-    fn carry(&mut self, middle_mm: DVec2, axes: [DVec2; 2], surface_mm: f64, motion: &Pose) {
-        self.place(middle_mm, axes, None);
-        let Self { history, rest, at, carried, .. } = self;
-        for (cell, (at, rest)) in at.iter_mut().zip(rest).enumerate() {
-            let [along, across] = [history.aside[0][cell], history.aside[1][cell]];
-            let here = *rest + axes[0] * along + axes[1] * across;
-            let point: DVec3 = here.extend(surface_mm - history.into[cell]);
-            let moved = (motion.transform_point(point) - point).truncate();
-            carried[0][cell] = along + moved.dot(axes[0]);
-            carried[1][cell] = across + moved.dot(axes[1]);
-            // Gel that the part does not touch stays.
-            *at = if history.touching[cell] { here + moved } else { here };
-        }
-    }
-
-    fn remember_step(&mut self, pose: Pose) {
-        let History { t_sensor_object, touching, into, aside } = &mut self.history;
-        *t_sensor_object = Some(pose);
+    fn remember_step(&mut self) {
+        let History { touching, part, into, aside, .. } = &mut self.history;
         touching.clear();
         touching.extend(self.contact.pressure().iter().map(|&p| p > 0.0));
+        part.clone_from(&self.obstacle.part);
         self.contact.surface_mm(into, aside);
     }
 }

@@ -1,8 +1,10 @@
-//! The gel as an elastic layer under a part.
+//! The gel as an elastic layer under the parts.
 
 use super::Simulator;
+use super::highest::Highest;
 use super::history::History;
-use crate::effects::{ElasticLayer, Grip};
+use super::press::carried_mm;
+use crate::effects::ElasticLayer;
 use crate::layer::{self, LayerContact, Memory, Motion, Nodes, Places, Start};
 use crate::scene::{Scene, SceneError};
 use crate::simulator::ContactState;
@@ -25,11 +27,12 @@ pub(super) struct Layered {
     pub(super) history: History,
     /// Trajectory frame of the last solve.
     solved: Option<u64>,
-    /// Rest places of the cells, and the places where the part's heights are evaluated, sensor x and y.
+    /// Rest places of the cells, and their places after the last solve, sensor x and y.
     pub(super) rest: Vec<DVec2>,
-    pub(super) at: Vec<DVec2>,
-    pub(super) heights: Vec<f64>,
-    /// Motion of the cells with the part, along the lattice's axes.
+    pub(super) now: Vec<DVec2>,
+    /// The parts over the cells.
+    pub(super) obstacle: Highest,
+    /// Motion of the cells with the parts that they are under, along the lattice's axes.
     pub(super) carried: [Vec<f64>; 2],
     /// Motion of the cells under the tractions.
     into: Vec<f64>,
@@ -68,8 +71,8 @@ impl Layered {
             history: History::default(),
             solved: None,
             rest: Vec::with_capacity(cells),
-            at: Vec::with_capacity(cells),
-            heights: none(),
+            now: Vec::with_capacity(cells),
+            obstacle: Highest::with_capacity(cells),
             carried: [none(), none()],
             into: none(),
             aside: [none(), none()],
@@ -87,49 +90,45 @@ impl Layered {
         self.solved = None;
     }
 
-    /// Puts every cell at its rest place or, with a grip, at its place carried by the part.
-    pub(super) fn place(&mut self, middle_mm: DVec2, axes: [DVec2; 2], grip: Option<&Grip>) {
+    /// Sets the rest places of the cells.
+    pub(super) fn lay(&mut self, middle_mm: DVec2, axes: [DVec2; 2]) {
         let grid = self.contact.grid();
         let [x_mm, y_mm] = grid.cell_mm;
         let from_middle = |i: usize, n: usize| i as f64 - 0.5 * (n as f64 - 1.0);
         self.rest.clear();
-        self.at.clear();
-        self.carried.iter_mut().for_each(Vec::clear);
         for row in 0..grid.rows {
             let down = middle_mm + axes[1] * (from_middle(row, grid.rows) * y_mm);
-            for col in 0..grid.cols {
-                let rest = down + axes[0] * (from_middle(col, grid.cols) * x_mm);
-                let carried = grip.map_or(DVec2::ZERO, |grip| grip.motion_mm(rest));
-                self.rest.push(rest);
-                self.at.push(rest + carried);
-                for (axis, carried_mm) in axes.iter().zip(&mut self.carried) {
-                    carried_mm.push(carried.dot(*axis));
-                }
-            }
+            self.rest.extend((0..grid.cols).map(|col| down + axes[0] * (from_middle(col, grid.cols) * x_mm)));
         }
     }
 
-    /// Moves every cell to its place after the last solve. Returns the largest change of a cell in
-    /// contact.
-    pub(super) fn replace(&mut self, axes: [DVec2; 2]) -> f64 {
+    /// Finds every cell's place after the last solve. Returns the largest change of a cell in contact.
+    pub(super) fn displace(&mut self, rest: &[DVec2], axes: [DVec2; 2]) -> f64 {
         self.contact.surface_mm(&mut self.into, &mut self.aside);
         let remembered = self.memory.as_ref().map(Memory::remembered);
         let mut farthest = 0.0_f64;
-        for (cell, at) in self.at.iter_mut().enumerate() {
+        self.now.clear();
+        for (cell, at) in self.obstacle.at.iter().enumerate() {
             let own = |axis: usize| remembered.map_or(0.0, |fields| fields[1 + axis][cell]);
             let [along, across] = [0, 1].map(|axis| self.aside[axis][cell] + own(axis));
-            let now = self.rest[cell] + axes[0] * along + axes[1] * across;
+            let now = rest[cell] + axes[0] * along + axes[1] * across;
             if self.contact.pressure()[cell] > 0.0 {
                 farthest = farthest.max((now - *at).length());
             }
-            *at = now;
+            self.now.push(now);
         }
         farthest
     }
 
-    /// Solves for the part's heights, minus the remembered motion.
-    pub(super) fn solve(&mut self, start: Start) {
-        let Self { contact, heights, carried, memory, .. } = self;
+    /// Solves for the parts' heights, minus the remembered motion. Every cell is asked to follow the part
+    /// that it is under: `carried_mm(part, cell)`, along the lattice's axes.
+    pub(super) fn solve(&mut self, start: Start, carried_mm: impl Fn(usize, usize) -> [f64; 2]) {
+        let Self { contact, obstacle: Highest { heights, part, .. }, carried, memory, .. } = self;
+        carried.iter_mut().for_each(Vec::clear);
+        for (cell, &part) in part.iter().enumerate() {
+            let carried_mm = carried_mm(part.into(), cell);
+            carried.iter_mut().zip(carried_mm).for_each(|(field, carried_mm)| field.push(carried_mm));
+        }
         if let Some(memory) = memory {
             let [into, along, across] = memory.remembered();
             // The support plate limits the depth as before.
@@ -143,12 +142,6 @@ impl Layered {
         let part = layer::Part { heights_mm: heights, carried_mm: self.sticks.then_some([x, y]) };
         // A valid scene gives valid inputs; a solve that gives up keeps its last state.
         let _ = contact.press(part, ElasticLayer::TOLERANCE_MM, start);
-        if let Some(memory) = memory {
-            let [_, along, across] = memory.remembered();
-            for (carried, own) in carried.iter_mut().zip([along, across]) {
-                carried.iter_mut().zip(own).for_each(|(carried, own)| *carried += own);
-            }
-        }
     }
 
     /// Adds the cells' remembered motion to the markers' motion.
@@ -163,18 +156,18 @@ impl Layered {
 
 impl Simulator {
     /// [`Self::press`] on the elastic layer, at a time close to that of a frame.
-    pub(super) fn press_layer(&mut self, contact: Option<&ContactState>, frame: u64, time_s: f64) {
+    pub(super) fn press_layer(&mut self, contacts: &[Option<ContactState>], frame: u64, time_s: f64) {
         let Some(mut layered) = self.layered.take() else { return };
         self.remember(&mut layered, frame);
         self.settle(time_s);
-        self.deform(&mut layered, contact);
-        let planned = self.trajectory.contact(time_s);
-        let of_frame = time_s == self.trajectory.time_s(frame) && planned.as_ref() == contact;
+        self.deform(&mut layered, contacts);
+        let planned = || contacts.iter().enumerate().all(|(n, c)| *c == self.trajectory.contact(n, time_s));
+        let of_frame = time_s == self.trajectory.time_s(frame) && planned();
         layered.solved = of_frame.then_some(frame);
         layered.nodes.motion(&layered.contact, &mut layered.motion);
         layered.recall();
         self.follow(&layered.motion);
-        self.meet(contact, &layered);
+        self.meet(contacts, &layered);
         self.layered = Some(layered);
     }
 
@@ -190,8 +183,10 @@ impl Simulator {
             if layered.solved.take() != Some(before) {
                 let time_s = self.trajectory.time_s(before);
                 self.settle(time_s);
-                let contact = self.trajectory.contact(time_s).filter(|_| self.part.is_some());
-                self.deform(layered, contact.as_ref());
+                let mut contacts = core::mem::take(&mut self.scratch.meanwhile);
+                self.plan_contacts(time_s, &mut contacts);
+                self.deform(layered, &contacts);
+                self.scratch.meanwhile = contacts;
             }
             layered.contact.surface_mm(&mut layered.into, &mut layered.aside);
             let [x, y] = &layered.aside;
@@ -200,21 +195,38 @@ impl Simulator {
     }
 
     /// Solves the contact.
-    fn deform(&mut self, layered: &mut Layered, contact: Option<&ContactState>) {
-        let Some(contact) = contact else {
+    fn deform(&mut self, layered: &mut Layered, contacts: &[Option<ContactState>]) {
+        if contacts.iter().all(Option::is_none) {
             layered.contact.release();
             return;
-        };
-        let grip = layered.sticks.then(|| self.grip(contact));
-        layered.place(self.centre_mm, self.lattice.axes, grip.as_ref());
-        self.heights(contact, &layered.at, &mut layered.heights);
-        layered.solve(Start::Afresh);
-        for _round in 0..layered.rounds {
-            if layered.replace(self.lattice.axes) <= ElasticLayer::TOLERANCE_MM {
+        }
+        let grips = self.grips(layered.sticks, contacts);
+        layered.lay(self.centre_mm, self.lattice.axes);
+        let (rest, axes) = (core::mem::take(&mut layered.rest), self.lattice.axes);
+        let moved = |part: usize, cell: usize| carried_mm(&grips, part, rest[cell]);
+        let place = |part: usize, cell: usize| rest[cell] + moved(part, cell);
+        let carried = |part: usize, cell: usize| axes.map(|axis| moved(part, cell).dot(axis));
+        self.highest(contacts, (rest.len(), place), &mut layered.obstacle);
+        layered.solve(Start::Afresh, carried);
+        self.meet_displaced(layered, contacts, (layered.rounds, &rest), carried);
+        (layered.rest, self.scratch.grips) = (rest, grips);
+    }
+
+    /// Solves again with the cells at their displaced places, until they stay there.
+    pub(super) fn meet_displaced(
+        &mut self,
+        layered: &mut Layered,
+        contacts: &[Option<ContactState>],
+        (rounds, rest): (usize, &[DVec2]),
+        carried_mm: impl Fn(usize, usize) -> [f64; 2],
+    ) {
+        for _round in 0..rounds {
+            if layered.displace(rest, self.lattice.axes) <= ElasticLayer::TOLERANCE_MM {
                 break;
             }
-            self.heights(contact, &layered.at, &mut layered.heights);
-            layered.solve(Start::Last);
+            let Layered { now, obstacle, .. } = layered;
+            self.highest(contacts, (now.len(), |_, cell: usize| now[cell]), obstacle);
+            layered.solve(Start::Last, &carried_mm);
         }
     }
 
@@ -237,20 +249,14 @@ impl Simulator {
         scratch.heights.extend((0..motion.into.len()).map(|marker| at(&motion.into, marker)));
     }
 
-    /// Markers in contact lie on the part at their displaced places, and no other marker lies inside the
+    /// Markers in contact lie on the part at their displaced places, and no other marker lies inside a
     /// part.
-    pub(super) fn meet(&mut self, contact: Option<&ContactState>, layered: &Layered) {
-        let Self { scratch, rest, .. } = self;
-        scratch.stuck.clear();
-        let Some(contact) = contact else {
-            scratch.stuck.resize(rest.len(), false);
-            return;
-        };
-        scratch.places.clear();
-        scratch.places.extend(rest.iter().zip(&scratch.motion).map(|(&rest, &u)| rest + u));
-        self.touch(contact);
+    pub(super) fn meet(&mut self, contacts: &[Option<ContactState>], layered: &Layered) {
+        self.touch(contacts, |_, rest, motion| rest + motion);
         let scratch = &mut self.scratch;
-        for (marker, (height, &obstacle)) in scratch.heights.iter_mut().zip(&scratch.obstacle).enumerate() {
+        scratch.stuck.clear();
+        let obstacles = &scratch.obstacle.heights;
+        for (marker, (height, &obstacle)) in scratch.heights.iter_mut().zip(obstacles).enumerate() {
             let pressed = layered.contact.pressure()[layered.places.cell(marker)] > 0.0;
             let touches = obstacle > *height || (pressed && obstacle > f64::NEG_INFINITY);
             if touches {
@@ -280,10 +286,12 @@ mod tests {
             ContactState::pressed(Pose { translation_mm: DVec3::new(4.1, 0.2, 30.2), ..Pose::IDENTITY });
         simulator.truth(Some(&contact), &mut Truth::default());
         let mut layered = simulator.layered.take().unwrap();
-        layered.replace(simulator.lattice.axes);
-        simulator.heights(&contact, &layered.at, &mut layered.heights);
-        let touching = (0..layered.at.len()).filter(|&cell| layered.contact.pressure()[cell] > 0.0);
-        touching.map(|cell| (layered.heights[cell] - layered.into[cell]).abs()).fold(0.0, f64::max)
+        let rest = layered.rest.clone();
+        layered.displace(&rest, simulator.lattice.axes);
+        let mut heights = Vec::new();
+        simulator.heights(0, &contact, &layered.now, &mut heights);
+        let touching = (0..heights.len()).filter(|&cell| layered.contact.pressure()[cell] > 0.0);
+        touching.map(|cell| (heights[cell] - layered.into[cell]).abs()).fold(0.0, f64::max)
     }
 
     #[test]

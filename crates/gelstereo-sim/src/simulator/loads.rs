@@ -20,7 +20,7 @@ const CLOSE: f64 = 1e-4;
 /// Halvings of the depth: 40 reach the rounding of a double.
 const MAX_TRIALS: usize = 40;
 
-/// Loads that the part exerts on the gel; known with `effects.elastic_layer`.
+/// Loads that the parts exert on the gel; known with `effects.elastic_layer`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Loads {
     /// Force, newtons along the sensor's axes.
@@ -29,10 +29,21 @@ pub struct Loads {
     pub torque_nmm: DVec3,
     /// Centroid of the markers at rest, sensor frame.
     pub about_mm: DVec3,
+    /// What each part contributes, by its number.
+    pub parts: Vec<PartLoads>,
     /// Mean traction over the rectangle of a pitch around each marker, kilopascals along the sensor's axes.
     pub traction_kpa: Vec<DVec3>,
-    /// Whether the gel sticks to the part, at each marker's place; never unknown.
+    /// Whether the gel sticks to a part, at each marker's place; never unknown.
     pub stick: Vec<Stick>,
+}
+
+/// Loads of one part.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PartLoads {
+    /// As [`Loads::force_n`].
+    pub force_n: DVec3,
+    /// As [`Loads::torque_nmm`], about the same point.
+    pub torque_nmm: DVec3,
 }
 
 impl Layered {
@@ -56,21 +67,21 @@ impl Layered {
 }
 
 impl Simulator {
-    /// The pose moved along z until the part presses with this force, within 0.01 % and without sideways
-    /// motion; `None` without an indenter or an elastic layer.
+    /// The pose moved along z until the indenter alone presses with this force, within 0.01 % and without
+    /// sideways motion; `None` without an indenter or an elastic layer.
     ///
     /// # Errors
     /// [`SceneError::Invalid`] if the force is not above 0, is less than the layer's solver resolves, or
     /// needs more than 0.8 of the gel's thickness.
     pub fn pressed_with(&mut self, t_sensor_object: Pose, force_n: f64) -> Result<Option<Pose>, SceneError> {
         SceneError::check(force_n > 0.0 && force_n.is_finite(), "force_n", force_n, "above 0")?;
-        if self.layered.is_none() || self.part.is_none() {
+        if self.layered.is_none() || self.parts.is_empty() {
             return Ok(None);
         }
         let mut truth = Truth::default();
         let mut excess_n = |simulator: &mut Self, depth_mm: f64| {
             let contact = simulator.pressed(t_sensor_object, depth_mm).map(ContactState::pressed);
-            simulator.field(contact.as_ref(), 0, &mut truth);
+            simulator.field_of(&[contact], 0, &mut truth);
             truth.loads.as_ref().map_or(0.0, |loads| -loads.force_n.z) - force_n
         };
         let (mut low, mut high) = (0.0, MAX_DEPTH * self.gel.thickness_mm);
@@ -97,10 +108,17 @@ impl Simulator {
         let sum: DVec3 = self.rest.iter().map(|rest| rest.extend(self.surface_mm)).sum();
         out.about_mm = sum / self.rest.len() as f64;
         (out.force_n, out.torque_nmm) = (DVec3::ZERO, DVec3::ZERO);
-        for (cell, place) in layered.rest.iter().enumerate() {
+        out.parts.clear();
+        out.parts.resize(self.parts.len(), PartLoads::default());
+        for (cell, (place, &part)) in layered.rest.iter().zip(&layered.obstacle.part).enumerate() {
             let force_n = layered.traction(cell, axes) * scale;
+            let torque_nmm = (place.extend(self.surface_mm) - out.about_mm).cross(force_n);
             out.force_n += force_n;
-            out.torque_nmm += (place.extend(self.surface_mm) - out.about_mm).cross(force_n);
+            out.torque_nmm += torque_nmm;
+            if let Some(part) = out.parts.get_mut(usize::from(part)) {
+                part.force_n += force_n;
+                part.torque_nmm += torque_nmm;
+            }
         }
         out.traction_kpa.clear();
         out.stick.clear();

@@ -1,5 +1,7 @@
 //! Simulator: from a scene to marker positions and images.
 
+mod contacts;
+mod highest;
 mod history;
 mod layered;
 mod loads;
@@ -8,16 +10,17 @@ mod sheet;
 mod shutter;
 mod truth;
 
+use highest::Highest;
 use layered::Layered;
-pub use loads::Loads;
+pub use loads::{Loads, PartLoads};
 pub use truth::{DotImage, OUT_OF_SIGHT_PX, Sight, Truth};
 
-use crate::effects::{Bridge, Print, Pull, Sag, Speck, Spreading, Worn};
+use crate::effects::{Bridge, Grip, Print, Pull, Sag, Speck, Spreading, Worn};
 use crate::lattice::Lattice;
 use crate::plan::{Plan, Switch};
 use crate::render::{Dot, Exposure, Renderer};
 use crate::scene::{Gel, Scene, SceneError};
-use crate::shapes::{MeshHeight, Shape};
+use crate::shapes::{MeshHeight, Shape, Solid};
 use crate::trajectory::Trajectory;
 use alloc::boxed::Box;
 use alloc::vec::Vec;
@@ -25,7 +28,7 @@ use gelstereo_core::math::{DVec2, DVec3, Pose};
 use gelstereo_core::rig::Rig;
 use gelstereo_core::surface::TriangleMesh;
 
-/// Contact of the indenter with the gel at one moment.
+/// Contact of a part with the gel at one moment.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(deny_unknown_fields))]
 pub struct ContactState {
@@ -81,7 +84,7 @@ pub struct Simulator {
     print: Option<Print>,
     worn: Option<Worn>,
     specks: Vec<Speck>,
-    part: Option<Part>,
+    parts: Vec<Part>,
     shoulder: Option<Sag>,
     spread: Option<Spreading>,
     drag: Option<Pull>,
@@ -97,7 +100,7 @@ pub struct Simulator {
     scratch: Scratch,
 }
 
-/// The indenter.
+/// A part of the scene, which keeps the buffers of its heights.
 #[derive(Clone, Debug)]
 enum Part {
     Solid(Shape),
@@ -107,9 +110,15 @@ enum Part {
 /// Fields over the lattice, kept between frames.
 #[derive(Clone, Debug, Default)]
 struct Scratch {
-    places: Vec<DVec2>,
     motion: Vec<DVec2>,
-    obstacle: Vec<f64>,
+    /// The parts over the markers.
+    obstacle: Highest,
+    /// Contact of each part at this moment, and of one in the course of it.
+    contacts: Vec<Option<ContactState>>,
+    meanwhile: Vec<Option<ContactState>>,
+    /// Motion of each part in the plane since touch, and in space within a step.
+    grips: Vec<Grip>,
+    motions: Vec<Pose>,
     heights: Vec<f64>,
     stuck: Vec<bool>,
     fields: [Vec<f64>; 2],
@@ -118,14 +127,27 @@ struct Scratch {
     ends_mm: [Vec<DVec3>; 2],
 }
 
+impl Part {
+    fn new(solid: Solid<'_>) -> Self {
+        match solid {
+            Solid::Shape(shape) => Self::Solid(shape.clone()),
+            Solid::Mesh(mesh) => Self::Mesh(MeshHeight::new(mesh)),
+        }
+    }
+}
+
 impl Simulator {
-    /// Prepares a scene: plans the effects it needs and builds only those. `mesh` is the indenter's
-    /// surface when its shape is a mesh file.
+    /// Prepares a scene: plans the effects it needs and builds only those. `meshes` are the surfaces of
+    /// the parts whose shapes are mesh files, in the order of the parts: one or `None` without
+    /// [`Scene::others`].
     ///
     /// # Errors
     /// [`SceneError`].
-    pub fn new(scene: &Scene, mesh: Option<&TriangleMesh>) -> Result<Self, SceneError> {
-        Self::build(scene, mesh, None)
+    pub fn new<'a>(
+        scene: &'a Scene,
+        meshes: impl IntoIterator<Item = &'a TriangleMesh>,
+    ) -> Result<Self, SceneError> {
+        Self::build(scene, meshes, None)
     }
 
     /// [`Self::new`], sharing with this simulator what is laborious to build and the same for both scenes:
@@ -134,21 +156,23 @@ impl Simulator {
     ///
     /// # Errors
     /// [`SceneError`].
-    pub fn replaced(&self, scene: &Scene, mesh: Option<&TriangleMesh>) -> Result<Self, SceneError> {
-        Self::build(scene, mesh, Some(self))
+    pub fn replaced<'a>(
+        &self,
+        scene: &'a Scene,
+        meshes: impl IntoIterator<Item = &'a TriangleMesh>,
+    ) -> Result<Self, SceneError> {
+        Self::build(scene, meshes, Some(self))
     }
 
-    fn build(scene: &Scene, mesh: Option<&TriangleMesh>, before: Option<&Self>) -> Result<Self, SceneError> {
-        let plan = Plan::of(scene, mesh)?;
+    fn build<'a>(
+        scene: &'a Scene,
+        meshes: impl IntoIterator<Item = &'a TriangleMesh>,
+        before: Option<&Self>,
+    ) -> Result<Self, SceneError> {
+        let meshes: Vec<_> = meshes.into_iter().collect();
+        let plan = Plan::of(scene, meshes.iter().copied())?;
         let scene = &plan.scene;
-        let part = match (&scene.indenter, mesh) {
-            (Some(Shape::Mesh { .. }), Some(mesh)) => Some(Part::Mesh(MeshHeight::new(mesh))),
-            (Some(Shape::Mesh { path, .. }), None) => {
-                return Err(SceneError::MeshNeeded { path: path.clone() });
-            }
-            (_, Some(_)) => return Err(SceneError::MeshNotNeeded),
-            (shape, None) => shape.clone().map(Part::Solid),
-        };
+        let parts = Solid::of(scene, meshes)?.into_iter().map(Part::new).collect();
         let (gel, effects, seed) = (&scene.gel, &scene.effects, scene.seed);
         let trajectory = Trajectory::new(scene);
         let misprint = effects.misprint.as_ref();
@@ -165,7 +189,7 @@ impl Simulator {
             print: misprint.map(|misprint| Print::new(misprint, seed, gel.rows * gel.cols)),
             worn: effects.wear.as_ref().map(|wear| Worn::new(wear, seed, gel.rows * gel.cols)),
             specks: effects.specks.as_ref().map_or_else(Vec::new, |specks| Speck::all(specks, seed, gel)),
-            part,
+            parts,
             shoulder: effects.shoulder.as_ref().map(|shoulder| Sag::new(shoulder, &lattice)),
             spread: effects.spread.as_ref().map(|spread| Spreading::new(spread, &lattice)),
             drag: effects.drag.as_ref().map(|drag| Pull::new(drag, &lattice)),
@@ -183,7 +207,7 @@ impl Simulator {
             ellipse_bias: scene.switches.ellipse_bias != Some(Switch::Off),
             exposure_s: effects.motion_blur.as_ref().map(|blur| blur.exposure_s),
             trajectory,
-            scratch: Scratch::default(),
+            scratch: Scratch { obstacle: Highest::with_capacity(gel.rows * gel.cols), ..Scratch::default() },
             plan,
         };
         simulator.lay(centre_mm);
@@ -223,16 +247,38 @@ impl Simulator {
         self.trajectory.time_s(frame)
     }
 
-    /// The trajectory's contact at a frame (beyond the end: the last); `None` without keyframes.
+    /// Number of parts: the indenter and the others.
     #[must_use]
-    pub fn contact(&self, frame: usize) -> Option<ContactState> {
-        self.trajectory.contact(self.time_s(frame as u64))
+    pub fn parts(&self) -> usize {
+        self.parts.len()
     }
 
-    /// The pose moved along z until the part reaches `press_mm` into the gel; `None` without an indenter.
+    /// Contact of the indenter on its trajectory at a frame (beyond the end: the last); `None` without
+    /// keyframes.
+    #[must_use]
+    pub fn contact(&self, frame: usize) -> Option<ContactState> {
+        self.trajectory.contact(0, self.time_s(frame as u64))
+    }
+
+    /// As [`Self::contact`], of all parts.
+    #[must_use]
+    pub fn planned(&self, frame: usize) -> Vec<Option<ContactState>> {
+        let mut contacts = Vec::new();
+        self.plan_contacts(self.time_s(frame as u64), &mut contacts);
+        contacts
+    }
+
+    /// The pose moved along z until the indenter reaches `press_mm` into the gel; `None` without an
+    /// indenter.
     #[must_use]
     pub fn pressed(&self, t_sensor_object: Pose, press_mm: f64) -> Option<Pose> {
-        let nearest_mm = match self.part.as_ref()? {
+        self.pressed_of(0, t_sensor_object, press_mm)
+    }
+
+    /// As [`Self::pressed`], of any part; `None` if there is no such part.
+    #[must_use]
+    pub fn pressed_of(&self, part: usize, t_sensor_object: Pose, press_mm: f64) -> Option<Pose> {
+        let nearest_mm = match self.parts.get(part)? {
             Part::Solid(shape) => {
                 let towards_camera = t_sensor_object.rotation.conjugate() * DVec3::NEG_Z;
                 t_sensor_object.translation_mm.z - shape.support_mm(towards_camera)?
@@ -250,21 +296,45 @@ impl Simulator {
         self.moment(contact, 0, out);
     }
 
-    /// Marker positions and camera views for a contact, with the gel and the smears of a frame. `None`,
-    /// or a contact that [`ContactState::validate`] rejects, means no contact.
+    /// Marker positions and camera views for a contact of the indenter, with the gel and the smears of a
+    /// frame. The other parts are where their trajectories have them. `None`, or a contact that
+    /// [`ContactState::validate`] rejects, means no contact.
     pub fn moment(&mut self, contact: Option<&ContactState>, frame: u64, out: &mut Truth) {
-        let time_s = self.time_s(frame);
-        let contact = contact.filter(|contact| self.part.is_some() && contact.validate().is_ok());
-        self.expose(contact, frame);
-        self.stand(contact, frame, time_s);
-        self.write(time_s, out);
+        self.pose(contact, frame);
+        self.posed_moment(frame, out);
+    }
+
+    /// [`Self::moment`] for a contact of each part, by its number; those that are missing do not touch.
+    pub fn moment_of(&mut self, contacts: &[Option<ContactState>], frame: u64, out: &mut Truth) {
+        self.pose_all(contacts);
+        self.posed_moment(frame, out);
+    }
+
+    fn posed_moment(&mut self, frame: u64, out: &mut Truth) {
+        let contacts = core::mem::take(&mut self.scratch.contacts);
+        self.expose(&contacts, frame);
+        self.stand(&contacts, frame, self.time_s(frame));
+        self.scratch.contacts = contacts;
+        self.write(self.time_s(frame), out);
     }
 
     /// [`Self::moment`] of the markers in space only, for point clouds. Projections and dot images are
     /// not computed and their lists are left empty; [`Self::look`] fills them in.
     pub fn field(&mut self, contact: Option<&ContactState>, frame: u64, out: &mut Truth) {
-        let contact = contact.filter(|contact| self.part.is_some() && contact.validate().is_ok());
-        self.stand(contact, frame, self.time_s(frame));
+        self.pose(contact, frame);
+        self.posed_field(frame, out);
+    }
+
+    /// [`Self::field`] for a contact of each part, by its number; those that are missing do not touch.
+    pub fn field_of(&mut self, contacts: &[Option<ContactState>], frame: u64, out: &mut Truth) {
+        self.pose_all(contacts);
+        self.posed_field(frame, out);
+    }
+
+    fn posed_field(&mut self, frame: u64, out: &mut Truth) {
+        let contacts = core::mem::take(&mut self.scratch.contacts);
+        self.stand(&contacts, frame, self.time_s(frame));
+        self.scratch.contacts = contacts;
         self.write_field(out);
         out.forget_views();
     }
@@ -284,19 +354,14 @@ impl Simulator {
 
     /// Computes the markers of a moment into the scratch; a gel with memory first simulates the frames
     /// before.
-    fn stand(&mut self, contact: Option<&ContactState>, frame: u64, time_s: f64) {
+    fn stand(&mut self, contacts: &[Option<ContactState>], frame: u64, time_s: f64) {
         self.settle(time_s);
         self.scratch.motion.clear();
         self.scratch.motion.resize(self.rest.len(), DVec2::ZERO);
-        match contact {
-            _ if self.layered.is_some() => self.press_layer(contact, frame, time_s),
-            Some(contact) => self.press(contact),
-            None => {
-                self.scratch.heights.clear();
-                self.scratch.heights.resize(self.rest.len(), 0.0);
-                self.scratch.stuck.clear();
-                self.scratch.stuck.resize(self.rest.len(), false);
-            }
+        if self.layered.is_some() {
+            self.press_layer(contacts, frame, time_s);
+        } else {
+            self.press(contacts);
         }
     }
 

@@ -8,13 +8,19 @@ use gelstereo_core::rig::View;
 impl Simulator {
     /// Stores the markers' positions at the opening and closing of the shutter in the scratch; nothing
     /// without an exposure.
-    pub(super) fn expose(&mut self, contact: Option<&ContactState>, frame: u64) {
+    pub(super) fn expose(&mut self, contacts: &[Option<ContactState>], frame: u64) {
         let Some(exposure_s) = self.exposure_s else { return };
         let time_s = self.time_s(frame);
         for (end, half_s) in [-0.5 * exposure_s, 0.5 * exposure_s].into_iter().enumerate() {
             let at_s = time_s + half_s;
-            let moved = contact.map(|contact| self.trajectory.carried(contact, time_s, at_s));
-            self.stand(moved.as_ref(), frame, at_s);
+            let carried = |(part, contact): (usize, &Option<ContactState>)| {
+                contact.as_ref().map(|contact| self.trajectory.carried(part, contact, [time_s, at_s]))
+            };
+            let mut moved = core::mem::take(&mut self.scratch.meanwhile);
+            moved.clear();
+            moved.extend(contacts.iter().enumerate().map(carried));
+            self.stand(&moved, frame, at_s);
+            self.scratch.meanwhile = moved;
             let mut points_mm = core::mem::take(&mut self.scratch.ends_mm[end]);
             self.points(&mut points_mm);
             self.scratch.ends_mm[end] = points_mm;

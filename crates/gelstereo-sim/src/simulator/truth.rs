@@ -1,7 +1,7 @@
 //! Ground truth of one moment.
 
-use super::Simulator;
 use super::loads::Loads;
+use super::{ContactState, Simulator};
 use crate::render::{Dot, Ellipse};
 use crate::scene::SceneError;
 use alloc::vec::Vec;
@@ -17,9 +17,13 @@ pub struct Truth {
     pub normals: Vec<DVec3>,
     /// Height above the rest surface, towards the camera; at most the gel's thickness.
     pub indentation_mm: Vec<f64>,
-    /// Whether the indenter touches the gel at this marker.
+    /// Whether a part touches the gel at this marker.
     pub in_contact: Vec<bool>,
-    /// Loads that the part exerts on the gel; `None` without `effects.elastic_layer`.
+    /// Number of the part that touches it: 0 is the indenter, n the n-th of [`crate::Scene::others`].
+    pub touched_by: Vec<Option<u8>>,
+    /// Contact of each part, by its number; empty for markers placed by the caller.
+    pub contacts: Vec<Option<ContactState>>,
+    /// Loads that the parts exert on the gel; `None` without `effects.elastic_layer`.
     pub loads: Option<Loads>,
     /// Projections of the centres in the left image, inside it or not. With `ellipse_bias`, the centre
     /// of a dot's image is offset by up to f r² sin a cos a / Z² (tilt a): 0.016 px on the default rig.
@@ -120,6 +124,10 @@ impl Simulator {
         out.indentation_mm.extend_from_slice(&scratch.heights);
         out.in_contact.clear();
         out.in_contact.extend_from_slice(&scratch.stuck);
+        out.touched_by.clear();
+        let touched_by = |(&touches, &part): (&bool, &u8)| touches.then_some(part);
+        out.touched_by.extend(scratch.stuck.iter().zip(&scratch.obstacle.part).map(touched_by));
+        out.contacts.clone_from(&scratch.contacts);
         let mut loads = out.loads.take().unwrap_or_default();
         out.loads = self.write_loads(&mut loads).then_some(loads);
         self.points(&mut out.points_mm);
@@ -134,7 +142,7 @@ impl Simulator {
     }
 
     /// [`Self::moment`] of markers at given positions, row by row, for example of a recording.
-    /// `in_contact` is false throughout because the contact is unknown.
+    /// Nothing is in contact because the contact is unknown.
     ///
     /// # Errors
     /// [`SceneError::Invalid`] if there are more or fewer points than the gel has markers, or one is
@@ -151,6 +159,9 @@ impl Simulator {
         out.indentation_mm.extend(points_mm.iter().map(|point| self.surface_mm - point.z));
         out.in_contact.clear();
         out.in_contact.resize(markers, false);
+        out.touched_by.clear();
+        out.touched_by.resize(markers, None);
+        out.contacts.clear();
         out.loads = None;
         self.look(frame, out)
     }
