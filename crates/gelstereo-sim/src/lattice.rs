@@ -3,6 +3,12 @@
 use crate::scene::Gel;
 use gelstereo_core::math::{DVec2, cos, sin};
 
+/// Place of a node from the middle of a grid, along a row and along a column.
+pub(crate) fn from_middle([row, col]: [usize; 2], [rows, cols]: [usize; 2], step_mm: [f64; 2]) -> DVec2 {
+    let along = |i: usize, n: usize, step_mm: f64| (i as f64 - 0.5 * (n as f64 - 1.0)) * step_mm;
+    DVec2::new(along(col, cols, step_mm[0]), along(row, rows, step_mm[1]))
+}
+
 /// The marker lattice with its gel thickness.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Lattice {
@@ -25,11 +31,13 @@ impl Lattice {
 
     /// Rest position of a marker, sensor x and y.
     pub(crate) fn marker_mm(&self, centre_mm: DVec2, row: usize, col: usize) -> DVec2 {
-        let from_middle = |i: usize, n: usize| i as f64 - 0.5 * (n as f64 - 1.0);
-        let [x_mm, y_mm] = self.pitch_mm;
-        centre_mm
-            + self.axes[0] * (from_middle(col, self.cols) * x_mm)
-            + self.axes[1] * (from_middle(row, self.rows) * y_mm)
+        let at = self.printed_mm(row, col);
+        centre_mm + self.axes[0] * at.x + self.axes[1] * at.y
+    }
+
+    /// Place of a marker in the lattice's frame.
+    pub(crate) fn printed_mm(&self, row: usize, col: usize) -> DVec2 {
+        from_middle([row, col], [self.rows, self.cols], self.pitch_mm)
     }
 
     /// Rest positions of all markers, sensor x and y.

@@ -32,6 +32,7 @@ mod plan_bounds;
 mod print;
 mod rectangular;
 mod relaxation;
+mod relief;
 mod render;
 mod replaced;
 mod rest_border;

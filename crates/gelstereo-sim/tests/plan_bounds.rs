@@ -14,8 +14,8 @@ use gelstereo_sim::effects::{
 };
 use gelstereo_sim::plan::Bound;
 use gelstereo_sim::{
-    Asked, ContactState, Effects, Gel, GelKeyframe, Keyframe, Other, Plan, Scene, Shape, Simulator, Switch,
-    Truth,
+    Asked, ContactState, Effects, Gel, GelKeyframe, Keyframe, Other, Plan, Relief, Scene, Shape, Simulator,
+    Switch, Truth,
 };
 use proptest::prelude::*;
 
@@ -245,6 +245,10 @@ fn scenes() -> impl Strategy<Value = Scene> {
         Gel { rows, cols, pitch_mm, dot_radius_mm, thickness_mm, rotation_rad, bright_dots, ..Gel::default() }
     });
     let other = prop::option::of((shapes(), trajectories()));
+    let relief = (90.0..300.0_f64, prop::bool::ANY).prop_map(|(radius_mm, hollow)| Relief::Dome {
+        radius_mm: if hollow { -radius_mm } else { radius_mm },
+    });
+    let gel = (gel, prop::option::of(relief)).prop_map(|(gel, relief)| Gel { relief, ..gel });
     (cameras(), gel, shapes(), trajectories(), other, effects(), 0..1000_u64).prop_map(
         |(rig, gel, shape, moments, other, effects, seed)| {
             let mut scene = Scene { seed, frame_rate_hz: 4.0, rig, gel, effects, ..Scene::default() };

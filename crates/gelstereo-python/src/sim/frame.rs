@@ -32,8 +32,8 @@ pub struct SimulatedFrame {
     /// (N,) bool, whether a part touches the gel at the marker.
     #[pyo3(get)]
     in_contact: Array1<bool>,
-    /// (N,) number of the part that touches the gel at the marker: 0 is the indenter, n the n-th of the scene's
-    /// ``others``; -1 where none does.
+    /// (N,) number of the part that touches the gel at the marker: 0 is the indenter, n the n-th of the
+    /// scene's ``others``; -1 where none does.
     #[pyo3(get)]
     touched_by: Array1<i64>,
     /// (4, 4) true pose of the indenter, or None without one.

@@ -199,8 +199,8 @@ impl Simulator {
     /// twist_rad : float
     ///     Rotation of the surface by the contact.
     /// others : sequence of (4, 4) array_like or None, optional
-    ///     Pose of each of the scene's ``others``; None of one that does not touch. Default: their trajectories
-    ///     at the frame.
+    ///     Pose of each of the scene's ``others``; None of one that does not touch. Default: their
+    ///     trajectories at the frame.
     /// frame : int
     ///     Frame index, which seeds the noise and determines the time of the gel's motion and smears.
     #[pyo3(
@@ -237,8 +237,8 @@ impl Simulator {
     /// t_sensor_object : (4, 4) array_like, optional
     ///     New pose of the indenter. None takes it away.
     /// others : sequence of (4, 4) array_like or None, optional
-    ///     New pose of each of the scene's ``others``; None takes one away. Default: their trajectories at the
-    ///     frame.
+    ///     New pose of each of the scene's ``others``; None takes one away. Default: their trajectories at
+    ///     the frame.
     /// frame : int
     ///     Frame index, which seeds the noise and determines the time of smears and gel motion.
     ///
@@ -316,8 +316,8 @@ impl Simulator {
     /// Returns
     /// -------
     /// SimulatedFrame
-    ///     Its indentation is relative to the scene's flat surface; `in_contact` is false throughout, because
-    ///     contact is unknown.
+    ///     Its indentation is relative to the scene's surface at rest; `in_contact` is false throughout,
+    ///     because contact is unknown.
     ///
     /// Raises
     /// ------

@@ -131,5 +131,7 @@ fn square_px(facts: &Facts<'_>) -> f64 {
 fn tilt(facts: &Facts<'_>) -> f64 {
     let (touch, pitch_mm, widened) = (&facts.touch, facts.least_pitch_mm(), 1.0 + facts.stretch);
     let rise_mm = touch.depth_mm.min(touch.steepness * widened * pitch_mm);
-    rise_mm / pitch_mm + facts.optics.tilt * widened
+    let scene = facts.scene;
+    let relief = scene.gel.relief.as_ref().map_or(0.0, |relief| relief.steepest(scene.reach_mm()));
+    rise_mm / pitch_mm + relief * widened + facts.optics.tilt * widened
 }

@@ -184,8 +184,11 @@ impl Touch {
         let gel = &scene.gel;
         let sides = [gel.cols as f64 * gel.pitch_mm.x_mm, gel.rows as f64 * gel.pitch_mm.y_mm];
         let trajectories = scene.parts().map(|(_, trajectory)| trajectory);
-        let all =
-            parts.iter().zip(trajectories).map(|(part, trajectory)| Self::of_part(gel, part, trajectory));
+        let relief_mm = relief_mm(scene);
+        let all = parts
+            .iter()
+            .zip(trajectories)
+            .map(|(part, trajectory)| Self::of_part(gel, relief_mm, part, trajectory));
         let touch = all.fold(Self::default(), |a, b| Self {
             depth_mm: a.depth_mm.max(b.depth_mm),
             steepness: a.steepness.max(b.steepness),
@@ -202,8 +205,9 @@ impl Touch {
         }
     }
 
-    fn of_part(gel: &Gel, part: &Solid<'_>, trajectory: &[Keyframe]) -> Self {
-        let depth_mm = part.depth_mm(gel, trajectory).clamp(0.0, gel.thickness_mm);
+    fn of_part(gel: &Gel, relief_mm: [f64; 2], part: &Solid<'_>, trajectory: &[Keyframe]) -> Self {
+        // Beyond the highest skin.
+        let depth_mm = (part.depth_mm(gel, trajectory) + relief_mm[1]).clamp(0.0, gel.thickness_mm);
         let (span_mm, steepness) = part.footprint(depth_mm);
         let all = trajectory.iter().map(|k| k.contact);
         let shear = all.clone().map(|c| DVec2::from_array(c.shear_mm).length()).fold(0.0, f64::max);
@@ -344,6 +348,11 @@ impl Optics {
     }
 }
 
+/// Lowest and highest place of the skin above the plane.
+fn relief_mm(scene: &Scene) -> [f64; 2] {
+    scene.gel.relief.as_ref().map_or([0.0; 2], |relief| relief.range_mm(scene.reach_mm()))
+}
+
 /// Slope of the farthest corner of an image, with and without lens distortion; infinite where the
 /// distortion is not one-to-one.
 fn widest_slope(camera: &Camera) -> f64 {
@@ -385,7 +394,8 @@ impl Facts<'_> {
         let centre = DVec2::from_array(gel.centre_mm);
         let shifts = moves.iter().map(|k| DVec2::from_array(k.shift_mm));
         let none = moves.is_empty().then_some(DVec2::ZERO);
-        let depths = [gel.surface_mm, gel.surface_mm - self.touch.depth_mm];
+        let [low, high] = relief_mm(self.scene);
+        let depths = [gel.surface_mm + high, gel.surface_mm + low - self.touch.depth_mm];
         shifts.chain(none).flat_map(move |shift| {
             let signs = [(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)];
             signs.into_iter().flat_map(move |(a, b)| {

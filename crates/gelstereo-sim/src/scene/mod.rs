@@ -2,9 +2,11 @@
 
 mod error;
 mod presets;
+mod relief;
 
 pub use crate::simulator::ContactState;
 pub use error::SceneError;
+pub use relief::Relief;
 
 use crate::effects::{Effects, Optics};
 use crate::plan::{Asked, Switches};
@@ -93,7 +95,8 @@ pub enum Images {
     Exact,
 }
 
-/// The gel and its lattice, seen from the left camera: a plane at z = `surface_mm`, facing the camera.
+/// The gel and its lattice, seen from the left camera: a plane at z = `surface_mm`, facing the camera, or
+/// curved by its relief.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(
     feature = "serde",
@@ -137,6 +140,9 @@ pub struct Gel {
     /// Grey level of the brighter of the two. Valid: 1 to 255 grey levels. Default: `170`. Lower it for less
     /// contrast.
     pub bright_level: u8,
+    /// Shape of a curved gel, `[gel.relief]` in a file. Default: none, a plane. Set it to simulate a dome, a
+    /// cylinder or a map of heights.
+    pub relief: Option<Relief>,
 }
 
 impl Default for Gel {
@@ -154,6 +160,7 @@ impl Default for Gel {
             bright_dots: false,
             dark_level: 50,
             bright_level: 170,
+            relief: None,
         }
     }
 }
@@ -273,6 +280,9 @@ impl Scene {
             }
         }
         self.gel.validate()?;
+        if let Some(relief) = &self.gel.relief {
+            relief.validate(self.reach_mm())?;
+        }
         self.check_sight()?;
         self.parts().try_for_each(|(shape, _)| shape.validate())?;
         self.effects.validate(&self.gel)?;
@@ -293,20 +303,30 @@ impl Scene {
         self.switches.validate(self.asked.is_some(), |effect| listed(effect) || own(effect))
     }
 
+    /// Largest distance of a marker, or of a cell of the elastic layer, from the lattice's centre.
+    pub(crate) fn reach_mm(&self) -> f64 {
+        let border =
+            self.effects.elastic_layer.as_ref().map_or(0, |layer| layer.border_pitches.min(64)) as f64;
+        let print_mm = self.effects.misprint.as_ref().map_or(0.0, |misprint| misprint.shift_mm);
+        let beside = DVec2::from_array(self.gel.pitch_mm.axes_mm()) * border + DVec2::splat(print_mm);
+        (self.gel.half_mm() + beside).length()
+    }
+
     /// Both cameras must see the whole depth of the gel, and its surface must lie behind the rig's layers.
     fn check_sight(&self) -> Result<(), SceneError> {
         let gel = &self.gel;
         let corners = [[0, 0], [0, gel.cols - 1], [gel.rows - 1, 0], [gel.rows - 1, gel.cols - 1]];
         for [row, col] in corners {
             let at = gel.marker_mm(row, col);
-            for z in [gel.surface_mm, gel.surface_mm - gel.thickness_mm] {
+            let [low, high] = gel.relief.as_ref().map_or([0.0; 2], |relief| relief.range_mm(self.reach_mm()));
+            for z in [gel.surface_mm + high, gel.surface_mm + low - gel.thickness_mm] {
                 if self.rig.project(DVec3::new(at.x, at.y, z)).is_err() {
                     return Err(SceneError::BehindCamera { row, col });
                 }
             }
             let Some(layers) = &self.rig.layers else { continue };
             let plates: f64 = layers.plates.iter().map(|plate| plate.thickness_mm).sum();
-            let within_mm = layers.normal.dot(at.extend(gel.surface_mm)) - layers.gap_mm - plates;
+            let within_mm = layers.normal.dot(at.extend(gel.surface_mm + low)) - layers.gap_mm - plates;
             if !(within_mm > 0.0) {
                 return Err(SceneError::BeforeGel { row, col, within_mm });
             }

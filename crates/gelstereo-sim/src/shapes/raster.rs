@@ -57,13 +57,11 @@ impl MeshHeight {
         vertices.fold(f64::INFINITY, |z, &v| z.min(t_sensor_object.transform_point(v).z))
     }
 
-    /// Height of the mesh above the plane z = `surface_mm` at every point; negative infinity without a
-    /// triangle.
+    /// Height of the mesh above the skin at every point; negative infinity without a triangle.
     pub(crate) fn heights_mm(
         &mut self,
         t_sensor_object: &Pose,
-        surface_mm: f64,
-        points: &[DVec2],
+        (points, skin_mm): (&[DVec2], &[f64]),
         out: &mut Vec<f64>,
     ) {
         self.sort_points(points);
@@ -88,7 +86,7 @@ impl MeshHeight {
                 for &i in &self.order[first..last] {
                     if let Some(z) = depth_at(&corners, points[i as usize]) {
                         let height = &mut out[i as usize];
-                        *height = height.max(surface_mm - z);
+                        *height = height.max(skin_mm[i as usize] - z);
                     }
                 }
             }

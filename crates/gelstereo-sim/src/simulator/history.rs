@@ -180,10 +180,10 @@ impl Simulator {
         whole.clear();
         whole.extend(layered.history.paths.iter().map(Path::whole));
         self.find(layered, contacts, &whole);
-        let Layered { history, obstacle, rest, .. } = layered;
+        let Layered { history, obstacle, rest, skin_mm, .. } = layered;
         let mut longest_mm = 0.0_f64;
         for (cell, &rest) in rest.iter().enumerate() {
-            let point = rest.extend(self.surface_mm - history.into[cell]);
+            let point = rest.extend(skin_mm[cell] - history.into[cell]);
             let then = (obstacle.heights[cell] > 0.0).then_some(obstacle.part[cell]);
             let now = history.touching[cell].then_some(history.part[cell]);
             for part in then.into_iter().chain(now) {
@@ -197,15 +197,15 @@ impl Simulator {
 
     /// Finds the parts over the cells, each moved by the part that it touched in the last step.
     fn find(&mut self, layered: &mut Layered, contacts: &[Option<ContactState>], motions: &[Pose]) {
-        let (axes, surface_mm) = (self.lattice.axes, self.surface_mm);
-        let Layered { history, obstacle, rest, .. } = layered;
+        let axes = self.lattice.axes;
+        let Layered { history, obstacle, rest, skin_mm, .. } = layered;
         let place = |_: usize, cell: usize| {
-            let (here, point) = history.here(cell, rest[cell], (axes, surface_mm));
+            let (here, point) = history.here(cell, rest[cell].extend(skin_mm[cell]), axes);
             let moved = |part: u8| (motions[usize::from(part)].transform_point(point) - point).truncate();
             // Gel that no part touches stays.
             if history.touching[cell] { here + moved(history.part[cell]) } else { here }
         };
-        self.highest(contacts, (rest.len(), place), obstacle);
+        self.parts.highest(contacts, (skin_mm, place), obstacle);
     }
 
     /// Solves the contact with the parts where they are on their paths: every cell is asked to follow its
@@ -218,10 +218,10 @@ impl Simulator {
         motions.clear();
         motions.extend(layered.history.paths.iter().map(|path| path.motion));
         self.find(layered, &contacts, &motions);
-        let (axes, surface_mm) = (self.lattice.axes, self.surface_mm);
+        let (axes, skin_mm) = (self.lattice.axes, layered.skin_mm.clone());
         let (history, rest) = (core::mem::take(&mut layered.history), core::mem::take(&mut layered.rest));
         let carried = |part: usize, cell: usize| {
-            let (_, point) = history.here(cell, rest[cell], (axes, surface_mm));
+            let (_, point) = history.here(cell, rest[cell].extend(skin_mm[cell]), axes);
             let moved = (motions[part].transform_point(point) - point).truncate();
             [0, 1].map(|axis| history.aside[axis][cell] + moved.dot(axes[axis]))
         };
@@ -248,9 +248,9 @@ impl History {
     }
 
     /// Where a cell is in the plane and in space.
-    fn here(&self, cell: usize, rest: DVec2, (axes, surface_mm): ([DVec2; 2], f64)) -> (DVec2, DVec3) {
-        let here = rest + axes[0] * self.aside[0][cell] + axes[1] * self.aside[1][cell];
-        (here, here.extend(surface_mm - self.into[cell]))
+    fn here(&self, cell: usize, rest: DVec3, axes: [DVec2; 2]) -> (DVec2, DVec3) {
+        let here = rest.truncate() + axes[0] * self.aside[0][cell] + axes[1] * self.aside[1][cell];
+        (here, here.extend(rest.z - self.into[cell]))
     }
 }
 

@@ -1,11 +1,13 @@
 //! The gel as an elastic layer under the parts.
 
 use super::Simulator;
-use super::highest::Highest;
 use super::history::History;
+use super::parts::Highest;
 use super::press::carried_mm;
+use super::sheet::skin_mm;
 use crate::effects::ElasticLayer;
-use crate::layer::{self, LayerContact, Memory, Motion, Nodes, Places, Start};
+use crate::lattice;
+use crate::layer::{self, Grid, LayerContact, Memory, Motion, Nodes, Places, Start};
 use crate::scene::{Scene, SceneError};
 use crate::simulator::ContactState;
 use alloc::sync::Arc;
@@ -27,6 +29,8 @@ pub(super) struct Layered {
     pub(super) history: History,
     /// Trajectory frame of the last solve.
     solved: Option<u64>,
+    /// Depth of the skin at rest, at each cell.
+    pub(super) skin_mm: Arc<[f64]>,
     /// Rest places of the cells, and their places after the last solve, sensor x and y.
     pub(super) rest: Vec<DVec2>,
     pub(super) now: Vec<DVec2>,
@@ -70,6 +74,7 @@ impl Layered {
             memory,
             history: History::default(),
             solved: None,
+            skin_mm: skin_mm(gel, (0..cells).map(|cell| from_middle(grid, cell))).into(),
             rest: Vec::with_capacity(cells),
             now: Vec::with_capacity(cells),
             obstacle: Highest::with_capacity(cells),
@@ -93,13 +98,9 @@ impl Layered {
     /// Sets the rest places of the cells.
     pub(super) fn lay(&mut self, middle_mm: DVec2, axes: [DVec2; 2]) {
         let grid = self.contact.grid();
-        let [x_mm, y_mm] = grid.cell_mm;
-        let from_middle = |i: usize, n: usize| i as f64 - 0.5 * (n as f64 - 1.0);
+        let place = |at: DVec2| middle_mm + axes[1] * at.y + axes[0] * at.x;
         self.rest.clear();
-        for row in 0..grid.rows {
-            let down = middle_mm + axes[1] * (from_middle(row, grid.rows) * y_mm);
-            self.rest.extend((0..grid.cols).map(|col| down + axes[0] * (from_middle(col, grid.cols) * x_mm)));
-        }
+        self.rest.extend((0..grid.rows * grid.cols).map(|cell| place(from_middle(grid, cell))));
     }
 
     /// Finds every cell's place after the last solve. Returns the largest change of a cell in contact.
@@ -154,6 +155,11 @@ impl Layered {
     }
 }
 
+/// Place of a cell in the lattice's frame.
+fn from_middle(grid: Grid, cell: usize) -> DVec2 {
+    lattice::from_middle([cell / grid.cols, cell % grid.cols], [grid.rows, grid.cols], grid.cell_mm)
+}
+
 impl Simulator {
     /// [`Self::press`] on the elastic layer, at a time close to that of a frame.
     pub(super) fn press_layer(&mut self, contacts: &[Option<ContactState>], frame: u64, time_s: f64) {
@@ -206,7 +212,7 @@ impl Simulator {
         let moved = |part: usize, cell: usize| carried_mm(&grips, part, rest[cell]);
         let place = |part: usize, cell: usize| rest[cell] + moved(part, cell);
         let carried = |part: usize, cell: usize| axes.map(|axis| moved(part, cell).dot(axis));
-        self.highest(contacts, (rest.len(), place), &mut layered.obstacle);
+        self.parts.highest(contacts, (&layered.skin_mm, place), &mut layered.obstacle);
         layered.solve(Start::Afresh, carried);
         self.meet_displaced(layered, contacts, (layered.rounds, &rest), carried);
         (layered.rest, self.scratch.grips) = (rest, grips);
@@ -224,8 +230,8 @@ impl Simulator {
             if layered.displace(rest, self.lattice.axes) <= ElasticLayer::TOLERANCE_MM {
                 break;
             }
-            let Layered { now, obstacle, .. } = layered;
-            self.highest(contacts, (now.len(), |_, cell: usize| now[cell]), obstacle);
+            let Layered { now, skin_mm, obstacle, .. } = layered;
+            self.parts.highest(contacts, (skin_mm, |_, cell: usize| now[cell]), obstacle);
             layered.solve(Start::Last, &carried_mm);
         }
     }
@@ -289,7 +295,8 @@ mod tests {
         let rest = layered.rest.clone();
         layered.displace(&rest, simulator.lattice.axes);
         let mut heights = Vec::new();
-        simulator.heights(0, &contact, &layered.now, &mut heights);
+        let pose = contact.t_sensor_object;
+        simulator.parts.heights(0, &pose, (&layered.now, &layered.skin_mm), &mut heights);
         let touching = (0..heights.len()).filter(|&cell| layered.contact.pressure()[cell] > 0.0);
         touching.map(|cell| (heights[cell] - layered.into[cell]).abs()).fold(0.0, f64::max)
     }

@@ -75,7 +75,7 @@ impl Simulator {
     /// needs more than 0.8 of the gel's thickness.
     pub fn pressed_with(&mut self, t_sensor_object: Pose, force_n: f64) -> Result<Option<Pose>, SceneError> {
         SceneError::check(force_n > 0.0 && force_n.is_finite(), "force_n", force_n, "above 0")?;
-        if self.layered.is_none() || self.parts.is_empty() {
+        if self.layered.is_none() || self.parts.len() == 0 {
             return Ok(None);
         }
         let mut truth = Truth::default();
@@ -105,14 +105,14 @@ impl Simulator {
         let axes = self.lattice.axes.map(|axis| axis.extend(0.0));
         let grid = layered.contact.grid();
         let scale = layered.young_kpa * N_PER_KPA_MM2 * grid.cell_mm[0] * grid.cell_mm[1];
-        let sum: DVec3 = self.rest.iter().map(|rest| rest.extend(self.surface_mm)).sum();
+        let sum: DVec3 = self.rest.iter().zip(&self.skin_mm).map(|(rest, &skin)| rest.extend(skin)).sum();
         out.about_mm = sum / self.rest.len() as f64;
         (out.force_n, out.torque_nmm) = (DVec3::ZERO, DVec3::ZERO);
         out.parts.clear();
         out.parts.resize(self.parts.len(), PartLoads::default());
         for (cell, (place, &part)) in layered.rest.iter().zip(&layered.obstacle.part).enumerate() {
             let force_n = layered.traction(cell, axes) * scale;
-            let torque_nmm = (place.extend(self.surface_mm) - out.about_mm).cross(force_n);
+            let torque_nmm = (place.extend(layered.skin_mm[cell]) - out.about_mm).cross(force_n);
             out.force_n += force_n;
             out.torque_nmm += torque_nmm;
             if let Some(part) = out.parts.get_mut(usize::from(part)) {

@@ -1,18 +1,19 @@
 //! Simulator: from a scene to marker positions and images.
 
 mod contacts;
-mod highest;
+mod deepest;
 mod history;
 mod layered;
 mod loads;
+mod parts;
 mod press;
 mod sheet;
 mod shutter;
 mod truth;
 
-use highest::Highest;
 use layered::Layered;
 pub use loads::{Loads, PartLoads};
+use parts::{Highest, Parts};
 pub use truth::{DotImage, OUT_OF_SIGHT_PX, Sight, Truth};
 
 use crate::effects::{Bridge, Grip, Print, Pull, Sag, Speck, Spreading, Worn};
@@ -20,7 +21,7 @@ use crate::lattice::Lattice;
 use crate::plan::{Plan, Switch};
 use crate::render::{Dot, Exposure, Renderer};
 use crate::scene::{Gel, Scene, SceneError};
-use crate::shapes::{MeshHeight, Shape, Solid};
+use crate::shapes::Solid;
 use crate::trajectory::Trajectory;
 use alloc::boxed::Box;
 use alloc::vec::Vec;
@@ -76,7 +77,8 @@ pub struct Simulator {
     gel: Gel,
     /// The lattice at the gel's current place.
     lattice: Lattice,
-    surface_mm: f64,
+    /// Depth of the skin at rest, at each marker.
+    skin_mm: Vec<f64>,
     /// The lattice's current centre.
     centre_mm: DVec2,
     /// Current marker places without contact.
@@ -84,7 +86,7 @@ pub struct Simulator {
     print: Option<Print>,
     worn: Option<Worn>,
     specks: Vec<Speck>,
-    parts: Vec<Part>,
+    parts: Parts,
     shoulder: Option<Sag>,
     spread: Option<Spreading>,
     drag: Option<Pull>,
@@ -98,13 +100,6 @@ pub struct Simulator {
     delivered: Option<Vec<usize>>,
     renderer: Renderer,
     scratch: Scratch,
-}
-
-/// A part of the scene, which keeps the buffers of its heights.
-#[derive(Clone, Debug)]
-enum Part {
-    Solid(Shape),
-    Mesh(MeshHeight),
 }
 
 /// Fields over the lattice, kept between frames.
@@ -125,15 +120,6 @@ struct Scratch {
     dots: Vec<Dot>,
     /// Marker positions at the opening and closing of the shutter; empty without known motion.
     ends_mm: [Vec<DVec3>; 2],
-}
-
-impl Part {
-    fn new(solid: Solid<'_>) -> Self {
-        match solid {
-            Solid::Shape(shape) => Self::Solid(shape.clone()),
-            Solid::Mesh(mesh) => Self::Mesh(MeshHeight::new(mesh)),
-        }
-    }
 }
 
 impl Simulator {
@@ -172,7 +158,7 @@ impl Simulator {
         let meshes: Vec<_> = meshes.into_iter().collect();
         let plan = Plan::of(scene, meshes.iter().copied())?;
         let scene = &plan.scene;
-        let parts = Solid::of(scene, meshes)?.into_iter().map(Part::new).collect();
+        let parts = Parts::new(Solid::of(scene, meshes)?, scene.gel.thickness_mm);
         let (gel, effects, seed) = (&scene.gel, &scene.effects, scene.seed);
         let trajectory = Trajectory::new(scene);
         let misprint = effects.misprint.as_ref();
@@ -183,7 +169,7 @@ impl Simulator {
             rig: scene.rig.clone(),
             gel: gel.clone(),
             lattice,
-            surface_mm: gel.surface_mm,
+            skin_mm: Vec::new(),
             centre_mm,
             rest: Vec::new(),
             print: misprint.map(|misprint| Print::new(misprint, seed, gel.rows * gel.cols)),
@@ -211,6 +197,7 @@ impl Simulator {
             plan,
         };
         simulator.lay(centre_mm);
+        simulator.curve();
         Ok(simulator)
     }
 
@@ -268,8 +255,8 @@ impl Simulator {
         contacts
     }
 
-    /// The pose moved along z until the indenter reaches `press_mm` into the gel; `None` without an
-    /// indenter.
+    /// The pose moved along z until the indenter reaches `press_mm` into the gel, at the place where it is
+    /// deepest; `None` without an indenter.
     #[must_use]
     pub fn pressed(&self, t_sensor_object: Pose, press_mm: f64) -> Option<Pose> {
         self.pressed_of(0, t_sensor_object, press_mm)
@@ -278,15 +265,14 @@ impl Simulator {
     /// As [`Self::pressed`], of any part; `None` if there is no such part.
     #[must_use]
     pub fn pressed_of(&self, part: usize, t_sensor_object: Pose, press_mm: f64) -> Option<Pose> {
-        let nearest_mm = match self.parts.get(part)? {
-            Part::Solid(shape) => {
-                let towards_camera = t_sensor_object.rotation.conjugate() * DVec3::NEG_Z;
-                t_sensor_object.translation_mm.z - shape.support_mm(towards_camera)?
-            }
-            Part::Mesh(mesh) => mesh.nearest_z_mm(&t_sensor_object),
-        };
+        let nearest_mm = self.parts.nearest_z_mm(part, &t_sensor_object)?;
         let mut pose = t_sensor_object;
-        pose.translation_mm.z += self.surface_mm - press_mm - nearest_mm;
+        pose.translation_mm.z += self.gel.surface_mm - press_mm - nearest_mm;
+        if let Some(relief) = &self.gel.relief {
+            // Heights change as the part moves along z.
+            pose.translation_mm.z +=
+                self.deepest_mm(part, &pose, relief).map_or(0.0, |deepest| deepest - press_mm);
+        }
         Some(pose)
     }
 

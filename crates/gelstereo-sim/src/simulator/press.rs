@@ -1,6 +1,7 @@
 //! The gel under the parts.
 
-use super::Simulator;
+use super::parts::Highest;
+use super::{Scratch, Simulator};
 use crate::effects::Grip;
 use crate::simulator::ContactState;
 use alloc::vec::Vec;
@@ -51,14 +52,14 @@ impl Simulator {
         if contact.twist_rad == 0.0 {
             return Grip::new(contact, DVec2::ZERO);
         }
-        let mut obstacle = core::mem::take(&mut self.scratch.obstacle);
-        obstacle.places.clear();
-        obstacle.places.extend(self.rest.iter().map(|&rest| rest + shear));
-        self.heights(part, contact, &obstacle.places, &mut obstacle.own);
-        let touched = self.rest.iter().zip(&obstacle.own).filter(|&(_, &height)| height > 0.0);
+        let Self { parts, rest, skin_mm, scratch, .. } = self;
+        let Highest { own, places, .. } = &mut scratch.obstacle;
+        places.clear();
+        places.extend(rest.iter().map(|&rest| rest + shear));
+        parts.heights(part, &contact.t_sensor_object, (places, skin_mm), own);
+        let touched = rest.iter().zip(own).filter(|&(_, &mut height)| height > 0.0);
         let (sum, count) =
             touched.fold((DVec2::ZERO, 0.0), |(sum, count), (&rest, _)| (sum + rest, count + 1.0));
-        self.scratch.obstacle = obstacle;
         Grip::new(contact, if count > 0.0 { sum / count } else { DVec2::ZERO })
     }
 
@@ -68,11 +69,8 @@ impl Simulator {
         contacts: &[Option<ContactState>],
         place: impl Fn(usize, DVec2, DVec2) -> DVec2,
     ) {
-        let mut obstacle = core::mem::take(&mut self.scratch.obstacle);
-        let (rest, motion) = (core::mem::take(&mut self.rest), core::mem::take(&mut self.scratch.motion));
-        let place = |part: usize, i: usize| place(part, rest[i], motion[i]);
-        self.highest(contacts, (rest.len(), place), &mut obstacle);
-        (self.rest, self.scratch.motion, self.scratch.obstacle) = (rest, motion, obstacle);
+        let Self { parts, rest, skin_mm, scratch: Scratch { motion, obstacle, .. }, .. } = self;
+        parts.highest(contacts, (skin_mm, |part, i| place(part, rest[i], motion[i])), obstacle);
     }
 
     /// Computes heights of the markers at their places, and which of them a part touches.

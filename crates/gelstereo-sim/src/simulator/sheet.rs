@@ -2,6 +2,8 @@
 
 use super::Simulator;
 use crate::lattice::Lattice;
+use crate::scene::Gel;
+use alloc::vec::Vec;
 use gelstereo_core::math::{DVec2, cos, sin};
 
 impl Simulator {
@@ -13,6 +15,17 @@ impl Simulator {
             self.lattice.axes = home.axes.map(|axis| axis * c + axis.perp() * s);
             self.lay(DVec2::from_array(self.gel.centre_mm) + DVec2::from_array(moved.shift_mm));
         }
+    }
+
+    /// Sets the depth of the skin at every printed marker: the relief moves with the lattice.
+    pub(super) fn curve(&mut self) {
+        let Self { lattice, gel, print, .. } = self;
+        let shift_mm = print.as_ref().and_then(|print| print.shift_mm());
+        let at = |marker: usize| {
+            let shift_mm = shift_mm.map_or(DVec2::ZERO, |shift_mm| shift_mm[marker]);
+            lattice.printed_mm(marker / lattice.cols, marker % lattice.cols) + shift_mm
+        };
+        self.skin_mm = skin_mm(gel, (0..lattice.rows * lattice.cols).map(at));
     }
 
     /// Sets the rest positions of all markers of a lattice centred at `centre_mm`.
@@ -27,4 +40,10 @@ impl Simulator {
             }
         }
     }
+}
+
+/// Depth of the skin at rest, at places in the lattice's frame.
+pub(super) fn skin_mm(gel: &Gel, places: impl Iterator<Item = DVec2>) -> Vec<f64> {
+    let above = |at: DVec2| gel.relief.as_ref().map_or(0.0, |relief| relief.height_mm(at));
+    places.map(|at| gel.surface_mm + above(at)).collect()
 }

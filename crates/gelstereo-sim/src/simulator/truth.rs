@@ -15,7 +15,7 @@ pub struct Truth {
     pub points_mm: Vec<DVec3>,
     /// Unit normals of the surface at the markers, towards the cameras (sensor frame).
     pub normals: Vec<DVec3>,
-    /// Height above the rest surface, towards the camera; at most the gel's thickness.
+    /// Height above the surface at rest, towards the camera; at most the gel's thickness.
     pub indentation_mm: Vec<f64>,
     /// Whether a part touches the gel at this marker.
     pub in_contact: Vec<bool>,
@@ -135,10 +135,10 @@ impl Simulator {
 
     /// Marker positions from the scratch.
     pub(super) fn points(&self, out: &mut Vec<DVec3>) {
-        let Self { scratch, rest, surface_mm, .. } = self;
-        let moved = rest.iter().zip(&scratch.motion).zip(&scratch.heights);
+        let Self { scratch, rest, skin_mm, .. } = self;
+        let moved = rest.iter().zip(&scratch.motion).zip(skin_mm.iter().zip(&scratch.heights));
         out.clear();
-        out.extend(moved.map(|((&rest, &u), &height)| (rest + u).extend(surface_mm - height)));
+        out.extend(moved.map(|((&rest, &u), (skin_mm, height))| (rest + u).extend(skin_mm - height)));
     }
 
     /// [`Self::moment`] of markers at given positions, row by row, for example of a recording.
@@ -156,7 +156,8 @@ impl Simulator {
         out.points_mm.clear();
         out.points_mm.extend_from_slice(points_mm);
         out.indentation_mm.clear();
-        out.indentation_mm.extend(points_mm.iter().map(|point| self.surface_mm - point.z));
+        let above = |(point, skin_mm): (&DVec3, &f64)| skin_mm - point.z;
+        out.indentation_mm.extend(points_mm.iter().zip(&self.skin_mm).map(above));
         out.in_contact.clear();
         out.in_contact.resize(markers, false);
         out.touched_by.clear();
