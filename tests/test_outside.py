@@ -15,10 +15,10 @@ from scipy.spatial import cKDTree
 import gelstereo
 from gelstereo._native import parse_toml
 from gelstereo_bench.frontier.grasps import GRASPED
-from outside import bonded, fields, grasped, images
+from outside import bonded, fields, grasped, images, layer_contact
 from outside.images import Condition, Sequence
 from outside.judge import judged, under_glints
-from outside.judge_contacts import RULES, judge
+from outside.judge_contacts import REFERENCE, RULES, judge
 from outside.optics import Optics
 from outside.parts import Part, Posed, at_touch
 
@@ -267,11 +267,28 @@ def test_row_36_one_rule_for_gels_by_finite_elements() -> None:
     assert all(mean_f1[adaptive] > mean_f1[rule] for rule in RULES[1:])
 
 
+def test_the_reference_that_knows_the_gel_is_as_good_as_the_best_rule() -> None:
+    by_law = judge(0.005, "w", [])
+    for gel, least in (("gel a", 0.9), ("gel c", 0.92)):
+        assert np.mean(by_law[gel][REFERENCE].f1) > least
+
+
+def test_the_references_layer_sinks_as_hookes_law_says() -> None:
+    """Under a wide and even pressure p the layer sinks by p t (1 - 2 nu) / (2 G (1 - nu))."""
+    side, pitch_mm, thickness_mm, nu = 25, 0.85, 2.0, 0.4
+    by_offset = layer_contact.response(thickness_mm, nu, pitch_mm, side)
+    expected_mm = thickness_mm * (1 - 2 * nu) / (2 * (1 - nu))
+    assert by_offset.shape == (2 * side - 1, 2 * side - 1)
+    assert abs(by_offset.sum() / expected_mm - 1.0) < 1e-3
+    assert np.allclose(by_offset, by_offset.T) and np.allclose(by_offset, by_offset[::-1, ::-1])
+
+
 def test_halves_of_grasped_parts_share_no_part_or_length() -> None:
     entries = table("grasped.toml")
     assert not set(entries["parts"]["w"]) & set(entries["parts"]["j"])
+    assert not set(entries["parts"]["further"]) & set(entries["parts"]["j"])
     assert set(entries["parts"]["w"] + entries["parts"]["j"]) == {press.name for press in GRASPED}
-    assert abs(entries["seeds"]["w"] - entries["seeds"]["j"]) >= entries["seeds"]["count"]
+    assert abs(entries["seeds"]["w"] - entries["seeds"]["j"]) >= max(entries["seeds"]["count"].values())
     for key in ("length_mm", "thickness_mm", "poisson_ratio"):
         laws = [
             {(e["law"], e[key]) for e in entries["laws"].values() if key in e and e["half"] == h}

@@ -22,6 +22,7 @@ import tomllib
 import trimesh
 from scipy.interpolate import RectBivariateSpline
 
+from gelstereo import parts
 from gelstereo_bench.frontier.grasps import GRASPED, SIDE, Press, place
 from gelstereo_bench.frontier.scenes import SURFACE_MM, VGA
 
@@ -37,6 +38,15 @@ ALONG_MM = np.linspace(-13.0, 13.0, 209)
 # Poses are drawn until the part covers this many markers and this many touch; a soft gel touches only a few
 # crests.
 MIN_COVERED, MIN_TOUCHING, DRAWS = 20, 6, 40
+#: Parts beside those of the experiment's insertions: a plate wider than the gel, ribs, no symmetry, and
+#: grooves at equal distances.
+FURTHER = (
+    Press("card reader", parts.sd_reader, (2.0, 30.0), flat=True),
+    Press("flash drive", parts.usb_drive, (0.0, 30.0), flat=True),
+    Press("irregular part", parts.irregular_part, (2.0, 22.0)),
+    Press("jack plug", parts.connector_3_5mm, (10.0, 24.0)),
+)
+PARTS = (*GRASPED, *FURTHER)
 # Height where there is no part: far below every surface.
 NOWHERE_MM = -5.0
 # A marker touches if the gel is at most this much above the part, mm.
@@ -169,13 +179,13 @@ def make(entry: dict[str, Any], part: Press, seeds: range) -> dict[str, Array]:
 def jobs() -> dict[str, tuple[dict[str, Any], Press, range]]:
     """All files by name, each with the function that creates it."""
     entries, found = table(), {}
-    for press_of in GRASPED:
-        half = next(half for half in "wj" if press_of.name in entries["parts"][half])
+    for press_of in PARTS:
+        half = next(half for half, names in entries["parts"].items() if press_of.name in names)
         for name, entry in entries["laws"].items():
-            if entry["half"] == half:
-                first, count = entries["seeds"][half], entries["seeds"]["count"]
+            if entry["half"] == ("w" if half == "further" else half):
+                first, count = entries["seeds"][half], entries["seeds"]["count"][half]
                 found[f"{name}_{press_of.name.replace(' ', '_')}"] = (
-                    {"part": press_of.name} | entry,
+                    {"part": press_of.name} | entry | {"half": half},
                     press_of,
                     range(first, first + count),
                 )

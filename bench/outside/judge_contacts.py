@@ -3,7 +3,8 @@
 
 Markers 0.85 mm apart have the true displacement and noise along z, and the rules classify them. F1 is the
 mean over contacts with at least four markers in contact. `found` is the share of contacts, among those with a
-marker in contact, in which at least one is found.
+marker in contact, in which at least one is found. The last column is a reference that is given the gel's
+thickness and Poisson's ratio (`layer_contact`); it states what the pitch of the markers allows.
 """
 
 from __future__ import annotations
@@ -18,6 +19,8 @@ import numpy.typing as npt
 
 import gelstereo
 
+from . import layer_contact
+from .contacts import table
 from .fields import DATA, Field
 from .judge import Flags, f1
 
@@ -31,6 +34,8 @@ RULES: list[Rule] = [
     *(("pressure", decay_mm) for decay_mm in (0.7, 1.0, 1.6, 2.5)),
     *(("depth", threshold_mm) for threshold_mm in (0.35, 0.1)),
 ]
+#: Needs a gel that is a layer.
+REFERENCE: Rule = ("layer, gel known", layer_contact.SHARE)
 
 
 @dataclass
@@ -41,6 +46,16 @@ class Scores:
 
     f1: list[float] = field(default_factory=list)
     found: list[bool] = field(default_factory=list)
+
+    def add(self, flags: Flags, true: Flags) -> None:
+        """Add a contact with at least one marker in contact."""
+        self.found.append(bool((flags & true).any()))
+        if true.sum() >= 4:
+            self.f1.append(f1(flags, true))
+
+    def cell(self) -> str:
+        """Mean F1, and the share of contacts that were found."""
+        return f"{np.mean(self.f1):.2f} ({100 * np.mean(self.found):.0f} %)" if self.f1 else ""
 
 
 def group(contact: Field) -> str:
@@ -73,6 +88,7 @@ def judge(sigma_mm: float, half: str, rules: list[Rule]) -> dict[str, dict[Rule,
     # Lattice offset from the part's middle, as in practice.
     points = np.stack((x.ravel() + 0.17, y.ravel() - 0.29), axis=1)
     flat = np.column_stack((points, np.full(len(points), SURFACE_MM)))
+    gels = table()["gels"]
     scores: dict[str, dict[Rule, Scores]] = defaultdict(lambda: defaultdict(Scores))
     for path in sorted(DATA.glob("*.npz")):
         contact = Field.load(path.stem)
@@ -85,10 +101,13 @@ def judge(sigma_mm: float, half: str, rules: list[Rule]) -> dict[str, dict[Rule,
             moved[:, 2] += noise
             for rule in rules if true.any() else []:
                 flags = salient(flat, moved, sigma_mm, *rule)
-                score = scores[group(contact)][rule]
-                score.found.append(bool((flags & true).any()))
-                if true.sum() >= 4:
-                    score.f1.append(f1(flags, true))
+                scores[group(contact)][rule].add(flags, true)
+            gel = gels.get(contact.meta.get("gel"))
+            if gel is not None and true.any():
+                flags = layer_contact.touching(
+                    flat[:, 2] - moved[:, 2], ROWS, PITCH_MM, gel["thickness_mm"], gel["poisson_ratio"]
+                )
+                scores[group(contact)][REFERENCE].add(flags, true)
     return scores
 
 
@@ -102,13 +121,10 @@ def main() -> int:
     for half in arguments.half or titles:
         title = titles[half]
         scores = judge(sigma_mm, half, RULES)
-        names = " | ".join(f"{rule} {setting}" for rule, setting in RULES)
-        sys.stdout.write(f"\n{title}\n\n| law | contacts | {names} |\n" + (len(RULES) + 2) * "|---" + "|\n")
+        names = " | ".join(f"{rule} {setting}" for rule, setting in [*RULES, REFERENCE])
+        sys.stdout.write(f"\n{title}\n\n| law | contacts | {names} |\n" + (len(RULES) + 3) * "|---" + "|\n")
         for law, by_rule in sorted(scores.items()):
-            cells = [
-                f"{np.mean(by_rule[rule].f1):.2f} ({100 * np.mean(by_rule[rule].found):.0f} %)"
-                for rule in RULES
-            ]
+            cells = [by_rule[rule].cell() for rule in [*RULES, REFERENCE]]
             count = len(by_rule[RULES[0]].found)
             sys.stdout.write(f"| {law} | {count} | " + " | ".join(cells) + " |\n")
     return 0

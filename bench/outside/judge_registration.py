@@ -38,11 +38,11 @@ from gelstereo import (
     pressure_saliency,
 )
 from gelstereo.geometry import se3_exp
-from gelstereo_bench.frontier.grasps import GRASPED, SIDE, Grasp, Start, surface_normals
+from gelstereo_bench.frontier.grasps import SIDE, Grasp, Start, surface_normals
 from gelstereo_bench.frontier.nees import Nees
 from gelstereo_bench.frontier.scenes import SURFACE_MM, VGA
 
-from .grasped import DATA, jobs, lattice
+from .grasped import DATA, PARTS, jobs, lattice
 
 Array = npt.NDArray[np.float64]
 
@@ -88,7 +88,7 @@ def contacts(half: str, draw: int = 0) -> Iterator[Judged]:
     """All contacts of a half, with a draw of noise and guesses."""
     templates = {
         press.name: Template.from_mesh(press.make(), units="mm", spacing_mm=0.3).with_grid()
-        for press in GRASPED
+        for press in PARTS
     }
     flat = np.column_stack((lattice() + VGA.centre_mm, np.full(SIDE * SIDE, SURFACE_MM)))
     rest, decay_mm = RestSurface(flat), Params().to_dict()["contact"]["decay_mm"]
@@ -219,7 +219,12 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--half", choices=("w", "j"), default="w", help="w: for work, j: judged")
+    parser.add_argument(
+        "--half",
+        choices=("w", "j", "further"),
+        default="w",
+        help="w: for work, j: judged, further: more parts for work",
+    )
     parser.add_argument("--without-gel", action="store_true", help="register without the gel's model")
     parser.add_argument("--by-part", action="store_true", help="a row for each part under each law")
     parser.add_argument("--draw", type=int, default=0, help="other noise and guesses for each number")
