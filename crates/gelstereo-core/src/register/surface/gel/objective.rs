@@ -240,12 +240,13 @@ impl Objective for GelObjective<'_> {
     }
 
     /// Errors of the gel model are common to neighbours within a decay length l, i.e. to n = π l² / pitch²
-    /// markers. Of the mean square χ² of the markers in contact, 1 is noise and the rest is that error. A
-    /// sum over n markers has the variance n + n² (χ² - 1) instead of n.
+    /// markers. Of the mean square χ² of the markers, 1 is noise and the rest is that error. A sum over n
+    /// markers has the variance n + n² (χ² - 1) instead of n. χ² is that of the markers in contact, or of all
+    /// that are in contact or lifted, whichever is larger: an error beside the contact moves its border.
     fn excess(&self, problem: &Problem<'_>) -> f64 {
         let touching = self.gel.here.touching_misfit(problem.params.advanced.outlier_share, |_| false);
         let shared = (PI * problem.samples.gel.stiffness(0.0)).min(touching.count);
-        1.0 + shared * (touching.mean - 1.0).max(0.0)
+        1.0 + shared * (touching.mean.max(self.gel.here.misfit()) - 1.0).max(0.0)
     }
 
     /// Salient markers carry pressure and should be in contact.
