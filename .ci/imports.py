@@ -27,6 +27,7 @@ FLOORS = (
     ("contact",),
     ("force",),
     ("slip",),
+    ("motion",),
     ("register",),
     ("pipeline",),
 )

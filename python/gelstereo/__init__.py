@@ -39,6 +39,8 @@ from gelstereo._native import (
     Markers,
     MarkerTracker,
     MeshError,
+    Motion,
+    MotionTracker,
     Params,
     ParamsError,
     Pipeline,
@@ -86,7 +88,7 @@ from gelstereo._native import (
 )
 from gelstereo.inspection import Inspection, inspect
 from gelstereo.simulation import simulate
-from gelstereo.states import MarkerState, Sight, SlipStatus, Stick
+from gelstereo.states import MarkerState, MotionKind, MotionSource, MotionStatus, Sight, SlipStatus, Stick
 
 __all__ = [
     "CameraError",
@@ -115,6 +117,11 @@ __all__ = [
     "MarkerTracker",
     "Markers",
     "MeshError",
+    "Motion",
+    "MotionKind",
+    "MotionSource",
+    "MotionStatus",
+    "MotionTracker",
     "Params",
     "ParamsError",
     "Pipeline",

@@ -83,3 +83,64 @@ class SlipStatus(IntEnum):
     """Some markers slip; the part is still held."""
     GROSS = 3
     """Too few markers stick to hold the part. It lasts until the part leaves the gel."""
+
+
+class MotionStatus(IntEnum):
+    """How well a motion is known, as in `Motion.status`.
+
+    Examples
+    --------
+    >>> MotionStatus(1).name
+    'TRACKED'
+    """
+
+    STARTED = 0
+    """First frame of a contact: the motion is the identity by definition."""
+    TRACKED = 1
+    """All directions are determined."""
+    PARTIAL = 2
+    """Some directions are not determined. Their variance grows from frame to frame, as set by
+    ``motion.free_turn_rad`` and ``motion.free_shift_mm``.
+    """
+    PREDICTED = 3
+    """Neither markers nor surface determine a direction."""
+
+
+class MotionSource(IntEnum):
+    """What a motion is found from, as in `Motion.source`.
+
+    Examples
+    --------
+    >>> MotionSource(1).name
+    'MARKERS'
+    """
+
+    NOTHING = 0
+    """Nothing: the part is where it was, with a larger variance."""
+    MARKERS = 1
+    """Markers that stick."""
+    SURFACE = 2
+    """The surface of the contact."""
+    BOTH = 3
+    """Both."""
+
+
+class MotionKind(IntEnum):
+    """How a part moves along the gel, as in `Motion.kind`.
+
+    Examples
+    --------
+    >>> MotionKind(2).name
+    'ROLLS'
+    """
+
+    UNKNOWN = 0
+    """The contact is new, or it is not known whether the gel holds the part."""
+    RESTS = 1
+    """The part is held, and the contact stays on the same part of its surface."""
+    ROLLS = 2
+    """The contact moves over the part and over the gel in the same direction."""
+    SLIDES = 3
+    """The gel does not hold the part, which moves along it."""
+    ROLLS_AND_SLIDES = 4
+    """Both."""

@@ -30,6 +30,7 @@ pub mod image;
 pub mod lattice;
 pub mod layer;
 pub mod math;
+pub mod motion;
 pub mod params;
 pub mod pipeline;
 pub mod register;

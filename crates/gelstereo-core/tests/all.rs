@@ -33,6 +33,7 @@ mod localizer_gel;
 mod localizer_long;
 mod marker_mesh;
 mod math;
+mod motion;
 mod mount;
 mod partial_borders;
 mod pitch;

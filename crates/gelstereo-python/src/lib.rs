@@ -23,6 +23,7 @@ mod lattice;
 mod layer;
 mod localizer;
 mod marker_tracker;
+mod motion;
 mod notebook;
 mod params;
 mod pickle;
@@ -83,6 +84,8 @@ mod _native {
     use crate::localizer::Localizer;
     #[pymodule_export]
     use crate::marker_tracker::{MarkerTracker, TrackedMarkers, pair_views};
+    #[pymodule_export]
+    use crate::motion::{Motion, MotionTracker, motion_kinds, motion_sources, motion_statuses};
     #[pymodule_export]
     use crate::params::Params;
     #[pymodule_export]

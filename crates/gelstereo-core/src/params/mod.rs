@@ -8,6 +8,7 @@ mod detect;
 mod force;
 mod label;
 mod lattice;
+mod motion;
 mod pitch;
 mod presets;
 mod register;
@@ -22,6 +23,7 @@ pub use detect::{Background, Centre, Channel, DetectParams, FindAt, FitParams, P
 pub use force::{ForceMethod, ForceParams};
 pub use label::{LabelMethod, LabelParams};
 pub use lattice::LatticeParams;
+pub use motion::MotionParams;
 pub use pitch::Pitch;
 pub use register::{
     AdvancedRegisterParams, FilterregParams, GuessSigma, RansacIcpParams, RegisterMethod, RegisterParams,
@@ -57,6 +59,8 @@ pub struct Params {
     pub force: ForceParams,
     /// Slip of the part along the gel.
     pub slip: SlipParams,
+    /// Motion of a part without a model.
+    pub motion: MotionParams,
     /// Registration to the template.
     pub register: RegisterParams,
 }
@@ -107,6 +111,7 @@ impl Params {
         self.contact.validate()?;
         self.force.validate()?;
         self.slip.validate()?;
+        self.motion.validate()?;
         self.register.validate()
     }
 }

@@ -2,8 +2,8 @@
 
 use super::{
     Background, Centre, ContactParams, DetectParams, DiscBias, FindAt, FitParams, ForceParams, LabelMethod,
-    LabelParams, LatticeParams, Motion, Params, RegisterMethod, RegisterParams, Saliency, Search, SlipParams,
-    Threshold, TrackParams, TriangulateMethod, TriangulateParams,
+    LabelParams, LatticeParams, Motion, MotionParams, Params, RegisterMethod, RegisterParams, Saliency,
+    Search, SlipParams, Threshold, TrackParams, TriangulateMethod, TriangulateParams,
 };
 
 impl Params {
@@ -65,6 +65,7 @@ impl Params {
             contact: ContactParams { saliency: Saliency::Adaptive, ..Default::default() },
             force: ForceParams::default(),
             slip: SlipParams::default(),
+            motion: MotionParams::default(),
             register: RegisterParams { method: RegisterMethod::SurfaceSearch, ..Default::default() },
         }
     }

@@ -1,6 +1,9 @@
 //! Slip of the part along the gel.
 
 use super::{ParamsError, check};
+use crate::math::ln;
+
+const SECONDS_PER_HOUR: f64 = 3600.0;
 
 /// How slip is found.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -47,5 +50,12 @@ impl SlipParams {
         let valid = "0.000001 to 3600 per hour";
         check((1e-6..=3600.0).contains(&alarms), "slip.false_alarms_per_hour", alarms, valid)?;
         check((1e-3..=1e5).contains(&rate_hz), "slip.frame_rate_hz", rate_hz, "0.001 to 100000 Hz")
+    }
+
+    /// Squared distance, in variances of two components, that one of `tests` in each frame exceeds by noise
+    /// at the rate of false alarms.
+    pub(crate) fn gate(&self, tests: usize) -> f64 {
+        let tests_per_hour = SECONDS_PER_HOUR * self.frame_rate_hz * tests as f64;
+        -2.0 * ln((self.false_alarms_per_hour / tests_per_hour).min(0.5))
     }
 }

@@ -6,7 +6,7 @@ use super::stick::{Slip, SlipStatus, Stick};
 use crate::contact::RestSurface;
 use crate::force::MovedMarkers;
 use crate::math::linalg::Symmetric;
-use crate::math::{DMat3, DVec3, Factor, Pose, ln};
+use crate::math::{DMat3, DVec3, Factor, Pose};
 use crate::params::SlipParams;
 use crate::track::MarkerState;
 use alloc::vec::Vec;
@@ -25,7 +25,6 @@ const RIM: f64 = 1.0;
 /// distance that can hide a slip. With 4, 25 and 100, the stick ratio of 144 simulated contacts, whose patch
 /// is known, has an rms error of 0.067, 0.055 and 0.053.
 const AGAIN: f64 = 100.0;
-const SECONDS_PER_HOUR: f64 = 3600.0;
 /// Thousands of instructions of a baseline x86-64 processor for one marker in contact and frame: 5.6 counted
 /// by callgrind, for contacts of 37 markers.
 const PER_MARKER: u64 = 6;
@@ -124,7 +123,7 @@ impl SlipTracker {
             self.anchors.fill(Anchor::default());
             self.pose = Pose::IDENTITY;
         }
-        let gate = self.gate();
+        let gate = self.params.gate(self.touched);
         out.extend((0..rest).map(|i| self.judge(moved, i, motion.as_ref(), gate)));
         Ok(Some(self.summary(moved, out, motion)))
     }
@@ -211,13 +210,6 @@ impl SlipTracker {
         let (u, v) = (off_mm.dot(x), off_mm.dot(y));
         let determinant = xx * yy - xy * xy;
         (xx > 0.0 && determinant > 0.0).then(|| (yy * u * u - 2.0 * xy * u * v + xx * v * v) / determinant)
-    }
-
-    /// Squared distance that one of all markers in contact exceeds by noise at the rate of false alarms.
-    fn gate(&self) -> f64 {
-        let frames_per_hour = SECONDS_PER_HOUR * self.params.frame_rate_hz;
-        let tests = frames_per_hour * self.touched as f64;
-        -2.0 * ln((self.params.false_alarms_per_hour / tests).min(0.5))
     }
 
     fn summary(&mut self, moved: &MovedMarkers<'_>, stick: &[Stick], motion: Option<RigidMotion>) -> Slip {

@@ -1,0 +1,131 @@
+//! The markers of a frame as points and surface elements.
+
+use crate::force::MovedMarkers;
+use crate::math::linalg::Symmetric;
+use crate::math::{DMat3, DVec3, Factor, sqrt};
+use crate::track::MarkerState;
+use alloc::vec::Vec;
+
+/// A marker in contact.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Element {
+    /// Whether it is in contact and seen, with a valid covariance.
+    pub is_used: bool,
+    pub point_mm: DVec3,
+    pub covariance_mm2: DMat3,
+    /// Unit normal towards the camera; zero if too few neighbours are in contact.
+    pub normal: DVec3,
+    /// Variance of the normal along each tangent.
+    pub normal_variance: f64,
+}
+
+impl Element {
+    pub fn has_normal(&self) -> bool {
+        self.is_used && self.normal != DVec3::ZERO
+    }
+}
+
+/// Markers of one frame, row by row.
+#[derive(Clone, Debug)]
+pub(super) struct Cloud {
+    pub elements: Vec<Element>,
+    cols: usize,
+    /// Towards the camera.
+    up: DVec3,
+}
+
+impl Cloud {
+    pub fn new(markers: usize, cols: usize, up: DVec3) -> Self {
+        let mut elements = Vec::new();
+        elements.resize(markers, Element::default());
+        Self { elements, cols, up }
+    }
+
+    pub fn copy(&mut self, other: &Self) {
+        self.elements.copy_from_slice(&other.elements);
+    }
+
+    pub fn fill(&mut self, moved: &MovedMarkers<'_>) {
+        for (i, element) in self.elements.iter_mut().enumerate() {
+            let (point_mm, covariance) = (moved.points_mm[i], &moved.covariance_mm2[i]);
+            let is_seen = moved.patch[i] && moved.state[i] == MarkerState::Seen && point_mm.is_finite();
+            let is_used = is_seen && is_valid(covariance);
+            let covariance_mm2 = DMat3::from_cols_array_2d(covariance);
+            *element = Element { is_used, point_mm, covariance_mm2, ..Element::default() };
+        }
+        for i in 0..self.elements.len() {
+            if let Some((normal, variance)) = self.normal(i) {
+                (self.elements[i].normal, self.elements[i].normal_variance) = (normal, variance);
+            }
+        }
+    }
+
+    /// Mean position of the markers in contact; `None` without any.
+    pub fn centroid_mm(&self) -> Option<DVec3> {
+        let used = || self.elements.iter().filter(|e| e.is_used);
+        let count = used().count();
+        (count > 0).then(|| used().map(|e| e.point_mm).sum::<DVec3>() / count as f64)
+    }
+
+    /// Normal of the surface at a marker, from differences along its row and column. They are exact for
+    /// quadratic surfaces.
+    fn normal(&self, i: usize) -> Option<(DVec3, f64)> {
+        let element = self.elements.get(i).filter(|e| e.is_used)?;
+        let (row, column) = (i / self.cols, i % self.cols);
+        let along = |k: isize| {
+            let column = column.checked_add_signed(k).filter(|&c| c < self.cols)?;
+            self.used_at(row * self.cols + column)
+        };
+        let down = |k: isize| self.used_at(row.checked_add_signed(k)? * self.cols + column);
+        let ((u, share_u), (v, share_v)) = (slope(&along)?, slope(&down)?);
+        let normal = u.cross(v).try_normalize()?;
+        let normal = if normal.dot(self.up) < 0.0 { -normal } else { normal };
+        let variance = normal.dot(element.covariance_mm2 * normal);
+        let angle = (share_u / u.length_squared()).max(share_v / v.length_squared());
+        Some((normal, variance * angle))
+    }
+
+    fn used_at(&self, i: usize) -> Option<DVec3> {
+        self.elements.get(i).filter(|e| e.is_used).map(|e| e.point_mm)
+    }
+
+    /// Whether a neighbour in the row or column is not in contact.
+    pub fn is_border(&self, i: usize) -> bool {
+        let (cols, column) = (self.cols, i % self.cols);
+        let out = |inside: bool, k: usize| !(inside && self.elements.get(k).is_some_and(|e| e.is_used));
+        out(column > 0, i.wrapping_sub(1))
+            || out(column + 1 < cols, i + 1)
+            || out(i >= cols, i.wrapping_sub(cols))
+            || out(true, i + cols)
+    }
+}
+
+/// Derivative for one marker distance, from three markers in a row, with the sum of its squared weights.
+fn slope(at: &impl Fn(isize) -> Option<DVec3>) -> Option<(DVec3, f64)> {
+    if let (Some(before), Some(after)) = (at(-1), at(1)) {
+        return Some(((after - before) * 0.5, 0.5));
+    }
+    for side in [1, -1] {
+        if let (Some(zero), Some(one), Some(two)) = (at(0), at(side), at(2 * side)) {
+            let outward = (one * 4.0 - zero * 3.0 - two) * 0.5;
+            return Some((outward * side as f64, 6.5));
+        }
+    }
+    None
+}
+
+fn is_valid(covariance: &Symmetric<3>) -> bool {
+    covariance.as_flattened().iter().all(|x| x.is_finite()) && Factor::new(covariance).is_some()
+}
+
+/// Mean distance of neighbours in a row.
+pub(super) fn pitch_mm(points_mm: &[DVec3], cols: usize) -> f64 {
+    let (mut sum, mut count) = (0.0, 0.0);
+    for row in points_mm.chunks_exact(cols.max(1)) {
+        for pair in row.windows(2) {
+            sum += sqrt(pair[0].distance_squared(pair[1]));
+            count += 1.0;
+        }
+    }
+    if count > 0.0 { sum / count } else { 0.0 }
+}

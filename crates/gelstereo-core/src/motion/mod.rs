@@ -1,0 +1,20 @@
+//! Motion of a part in the hand without a model of it.
+//!
+//! [`MotionTracker`] follows a part from keyframe to keyframe. Markers that stick are points of the part;
+//! its motion since the keyframe is the rigid motion of these points. Other markers in contact are on the
+//! part's surface; their distances from the surface of the keyframe determine the motion of a part that
+//! slides. Each marker is used once, so that its noise is not counted twice.
+//!
+//! Rolling and sliding are told by how far the contact moves over the part and over the gel (Montana 1988,
+//! "The kinematics of contact and grasp").
+
+mod answer;
+mod chain;
+mod cloud;
+mod fit;
+mod tracker;
+mod travel;
+
+pub use answer::{Motion, MotionSource, MotionStatus};
+pub use tracker::MotionTracker;
+pub use travel::{MotionKind, Travel};

@@ -1,0 +1,300 @@
+//! Motion of a part without a model.
+
+use crate::arrays::{self, Array1, Count, Matrix, Numbers};
+use crate::contact::RestSurface;
+use crate::errors::raise;
+use crate::frame::Frame;
+use crate::params::Params;
+use crate::slip::Slip;
+use gelstereo_core::force::MovedMarkers;
+use gelstereo_core::math::DVec3;
+use gelstereo_core::motion as core;
+use gelstereo_core::track::MarkerState;
+use pyo3::prelude::*;
+use std::collections::BTreeMap;
+use std::sync::{Mutex, PoisonError};
+
+/// Names and values of how well a motion is known, repeated in `gelstereo.MotionStatus` for typing.
+#[pyfunction]
+pub fn motion_statuses() -> BTreeMap<&'static str, u8> {
+    core::MotionStatus::ALL.map(|(name, status)| (name, status as u8)).into()
+}
+
+/// Names and values of what a motion is found from, repeated in `gelstereo.MotionSource` for typing.
+#[pyfunction]
+pub fn motion_sources() -> BTreeMap<&'static str, u8> {
+    core::MotionSource::ALL.map(|(name, source)| (name, source as u8)).into()
+}
+
+/// Names and values of how a part moves, repeated in `gelstereo.MotionKind` for typing.
+#[pyfunction]
+pub fn motion_kinds() -> BTreeMap<&'static str, u8> {
+    core::MotionKind::ALL.map(|(name, kind)| (name, kind as u8)).into()
+}
+
+/// Motion of a part in one frame of a contact. The part's frame is the sensor frame at first touch.
+#[pyclass(frozen, module = "gelstereo")]
+pub struct Motion {
+    inner: core::Motion,
+}
+
+#[pymethods]
+impl Motion {
+    /// How well the motion is known: value of `MotionStatus`.
+    #[getter]
+    const fn status(&self) -> u8 {
+        self.inner.status as u8
+    }
+
+    /// What it is found from: value of `MotionSource`.
+    #[getter]
+    const fn source(&self) -> u8 {
+        self.inner.source as u8
+    }
+
+    /// How the part moves along the gel: value of `MotionKind`.
+    #[getter]
+    const fn kind(&self) -> u8 {
+        self.inner.kind as u8
+    }
+
+    /// (4, 4) motion since first touch: moves points of the part from where they were to where they are,
+    /// sensor frame.
+    #[getter]
+    fn pose(&self, py: Python<'_>) -> PyResult<Matrix> {
+        arrays::matrix(py, self.inner.since_touch.pose.to_rows())
+    }
+
+    /// (6, 6) covariance of a small rotation about `about_mm` and a small translation after `pose`: rad²,
+    /// rad mm and mm².
+    #[getter]
+    fn covariance(&self, py: Python<'_>) -> PyResult<Matrix> {
+        arrays::matrix(py, self.inner.since_touch.covariance)
+    }
+
+    /// (3,) centroid of the contact, sensor frame.
+    #[getter]
+    fn about_mm(&self, py: Python<'_>) -> Array1<f64> {
+        arrays::list(py, self.inner.since_touch.about_mm.to_array().to_vec())
+    }
+
+    /// (4, 4) motion since the last frame.
+    #[getter]
+    fn step(&self, py: Python<'_>) -> PyResult<Matrix> {
+        arrays::matrix(py, self.inner.step.pose.to_rows())
+    }
+
+    /// (6, 6) covariance of `step`, as `covariance`.
+    #[getter]
+    fn step_covariance(&self, py: Python<'_>) -> PyResult<Matrix> {
+        arrays::matrix(py, self.inner.step.covariance)
+    }
+
+    /// (4, 4) pose of the keyframe that this frame is compared with: the motion from first touch to there.
+    #[getter]
+    fn keyframe_pose(&self, py: Python<'_>) -> PyResult<Matrix> {
+        arrays::matrix(py, self.inner.keyframe_pose.to_rows())
+    }
+
+    /// Directions, of six, that markers and surface determine better than the settings
+    /// ``motion.free_turn_rad`` and ``motion.free_shift_mm`` do for one frame.
+    #[getter]
+    const fn determined(&self) -> u8 {
+        self.inner.determined
+    }
+
+    /// Contacts before this one.
+    #[getter]
+    const fn contact(&self) -> u32 {
+        self.inner.contact
+    }
+
+    /// Keyframes of this contact before the one that this frame is compared with.
+    #[getter]
+    const fn keyframe(&self) -> u32 {
+        self.inner.keyframe
+    }
+
+    /// Markers that have stuck since the keyframe.
+    #[getter]
+    const fn stuck(&self) -> u32 {
+        self.inner.stuck
+    }
+
+    /// Markers compared with the keyframe's surface.
+    #[getter]
+    const fn surface(&self) -> u32 {
+        self.inner.surface
+    }
+
+    /// Frames over which `over_part_mm`, `over_gel_mm` and `slid_mm` are measured.
+    #[getter]
+    const fn travel_frames(&self) -> u32 {
+        self.inner.travel.frames
+    }
+
+    /// (3,) how far the contact's centroid has moved over the part, along the gel.
+    #[getter]
+    fn over_part_mm(&self, py: Python<'_>) -> Array1<f64> {
+        arrays::list(py, self.inner.travel.over_part_mm.to_array().to_vec())
+    }
+
+    /// Standard deviation of `over_part_mm` in that direction.
+    #[getter]
+    const fn over_part_sigma_mm(&self) -> f64 {
+        self.inner.travel.over_part_sigma_mm
+    }
+
+    /// (3,) how far the contact's centroid has moved over the gel.
+    #[getter]
+    fn over_gel_mm(&self, py: Python<'_>) -> Array1<f64> {
+        arrays::list(py, self.inner.travel.over_gel_mm.to_array().to_vec())
+    }
+
+    /// Standard deviation of `over_gel_mm` in that direction.
+    #[getter]
+    const fn over_gel_sigma_mm(&self) -> f64 {
+        self.inner.travel.over_gel_sigma_mm
+    }
+
+    /// (3,) how far the part has moved along the markers, in the mean over the contact.
+    #[getter]
+    fn slid_mm(&self, py: Python<'_>) -> Array1<f64> {
+        arrays::list(py, self.inner.travel.slid_mm.to_array().to_vec())
+    }
+
+    /// Standard deviation of `slid_mm` in that direction.
+    #[getter]
+    const fn slid_sigma_mm(&self) -> f64 {
+        self.inner.travel.slid_sigma_mm
+    }
+
+    /// Slip of the contact.
+    #[getter]
+    const fn slip(&self) -> Slip {
+        Slip::from_core(self.inner.slip)
+    }
+
+    fn __repr__(&self) -> String {
+        fn name<T: Copy + PartialEq>(all: &[(&'static str, T)], value: T) -> &'static str {
+            all.iter().find(|(_, other)| *other == value).map_or("", |(name, _)| name)
+        }
+        format!(
+            "<Motion: {}, {}, keyframe {}, {} markers stick>",
+            name(&core::MotionStatus::ALL, self.inner.status),
+            name(&core::MotionKind::ALL, self.inner.kind),
+            self.inner.keyframe,
+            self.inner.stuck
+        )
+    }
+}
+
+/// Follows a part without a model, from markers that stick and the surface of the contact.
+///
+/// Parameters
+/// ----------
+/// rest : RestSurface
+///     Row by row.
+/// params : Params
+///     Its tables ``motion`` and ``slip`` are used. ``slip.method`` may be ``"none"``.
+/// cols : int
+///     Markers in a row.
+///
+/// Raises
+/// ------
+/// ParamsError
+///     If a setting is not valid.
+/// ContactError
+///     If the markers do not fill whole rows.
+#[pyclass(frozen, module = "gelstereo")]
+pub struct MotionTracker {
+    inner: Mutex<core::MotionTracker>,
+}
+
+impl MotionTracker {
+    fn inner(&self) -> std::sync::MutexGuard<'_, core::MotionTracker> {
+        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn moved(&self, moved: &MovedMarkers<'_>) -> PyResult<Option<Motion>> {
+        let motion = self.inner().run(moved).map_err(raise)?;
+        Ok(motion.map(|inner| Motion { inner }))
+    }
+}
+
+#[pymethods]
+impl MotionTracker {
+    #[new]
+    #[pyo3(signature = (rest, params, *, cols))]
+    fn new(rest: &RestSurface, params: &Params, cols: Count) -> PyResult<Self> {
+        let (slip, motion) = (&params.inner.slip, &params.inner.motion);
+        let made = core::MotionTracker::new(slip, motion, rest.core(), cols.0);
+        Ok(Self { inner: Mutex::new(made.map_err(raise)?) })
+    }
+
+    fn __repr__(&self) -> String {
+        format!("<MotionTracker: {} markers>", self.inner().markers())
+    }
+
+    /// Forget the contact: the next frame is the first touch.
+    fn restart(&self) {
+        self.inner().restart();
+    }
+
+    /// Find the motion up to the next frame of a pipeline.
+    ///
+    /// Parameters
+    /// ----------
+    /// frame : Frame
+    ///     As returned by `Pipeline.process`.
+    ///
+    /// Returns
+    /// -------
+    /// Motion or None
+    ///     None without contact.
+    ///
+    /// Raises
+    /// ------
+    /// ContactError
+    ///     If the frame has another number of markers than the rest surface.
+    fn process(&self, frame: &Frame) -> PyResult<Option<Motion>> {
+        let frame = frame.core();
+        let (points_mm, covariance_mm2) = (frame.points_mm.as_slice(), frame.covariance_mm2.as_slice());
+        let (state, patch) = (frame.state.as_slice(), frame.patch.as_slice());
+        self.moved(&MovedMarkers { points_mm, covariance_mm2, state, patch })
+    }
+
+    /// Find the motion up to the next frame, from its markers.
+    ///
+    /// Parameters
+    /// ----------
+    /// points_mm : (N, 3) array_like
+    ///     Sensor frame; NaN for a marker that is not seen.
+    /// covariance_mm2 : (N, 3, 3) array_like
+    ///     Their covariances.
+    /// patch : (N,) array_like of bool
+    ///     Whether the part touches the gel at the marker.
+    ///
+    /// Returns
+    /// -------
+    /// Motion or None
+    ///     None without contact.
+    ///
+    /// Raises
+    /// ------
+    /// ContactError
+    ///     If a list has another length than the rest markers.
+    fn run(
+        &self,
+        points_mm: &Bound<'_, PyAny>,
+        covariance_mm2: &Bound<'_, PyAny>,
+        patch: Vec<bool>,
+    ) -> PyResult<Option<Motion>> {
+        let (points, covariances) =
+            (Numbers::new(points_mm, "points_mm")?, Numbers::new(covariance_mm2, "covariance_mm2")?);
+        let (points_mm, covariance_mm2) = (points.rows::<DVec3, 3>()?, covariances.matrices()?);
+        let seen = |point: &DVec3| if point.is_finite() { MarkerState::Seen } else { MarkerState::Lost };
+        let state: Vec<MarkerState> = points_mm.iter().map(seen).collect();
+        self.moved(&MovedMarkers { points_mm, covariance_mm2, state: &state, patch: &patch })
+    }
+}
