@@ -12,8 +12,10 @@ const HALF: f64 = 9.0;
 const OUTLIER: f64 = 25.0;
 /// Rounds of reweighting and matching; four to seven are usual.
 const MAX_ROUNDS: u32 = 20;
-/// Largest last step, radians and millimetres.
-const SETTLED: f64 = 1e-6;
+/// Rounds in which elements are matched anew; later ones do not jump between two matches.
+const MATCHING_ROUNDS: u32 = 4;
+/// Largest last step, radians and millimetres: a hundredth of the noise of a motion.
+const SETTLED: f64 = 1e-5;
 /// Elements are matched up to this tangential distance, in marker distances: half the diagonal of a square
 /// of four markers is 0.71.
 const REACH: f64 = 0.75;
@@ -88,8 +90,10 @@ impl Problem<'_> {
         // The sum of unknown motions of a constant rate grows with the number of frames.
         let prior = 1.0 / (self.frames * self.frames);
         let (mut pose, mut since_start) = (*start, [0.0; 6]);
-        for _ in 0..MAX_ROUNDS {
-            self.match_elements(&pose, matches);
+        for round in 0..MAX_ROUNDS {
+            if round < MATCHING_ROUNDS {
+                self.match_elements(&pose, matches);
+            }
             let Sums { mut information, mut right, .. } = self.sums(&pose, matches, Weights::Cauchy);
             for k in 0..6 {
                 information[k][k] += prior;
