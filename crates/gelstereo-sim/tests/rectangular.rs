@@ -33,6 +33,8 @@ fn every_second_row(found: &Truth, cols: usize) -> Vec<f64> {
 }
 
 proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+
     #[test]
     fn markers_stand_on_both_pitches(
         x_mm in 0.5..1.5_f64, y_mm in 0.5..1.5_f64, rows in 2..12_usize, cols in 2..12_usize,

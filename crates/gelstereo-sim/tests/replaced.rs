@@ -7,7 +7,7 @@ use gelstereo_sim::effects::{
     Defocus, ElasticLayer, Grain, Jpeg, Misprint, MotionBlur, Relaxation, SensorNoise, ShotNoise, Shoulder,
     Smears, Specks, Spread, UnevenLight, Wear,
 };
-use gelstereo_sim::{ContactState, Effects, Images, Keyframe, Scene, Shape, Simulator, Truth};
+use gelstereo_sim::{ContactState, Effects, Images, Keyframe, Other, Relief, Scene, Shape, Simulator, Truth};
 use proptest::prelude::*;
 
 /// A small sensor with every effect that is shared in part.
@@ -98,6 +98,13 @@ fn changes() -> Vec<Change> {
         }),
         Box::new(|scene| scene.indenter = Some(Shape::Box { size_mm: [4.0, 3.0, 3.0] })),
         Box::new(|scene| scene.images = Images::Exact),
+        Box::new(|scene| scene.gel.relief = Some(Relief::Dome { radius_mm: 100.0 })),
+        Box::new(|scene| {
+            let indenter = Shape::Sphere { radius_mm: 2.0 };
+            let t_sensor_object = Pose::from_translation_mm(DVec3::new(7.0, 1.0, 30.2));
+            let contact = ContactState::pressed(t_sensor_object);
+            scene.others = vec![Other { indenter, trajectory: vec![Keyframe { time_s: 0.0, contact }] }];
+        }),
         Box::new(|scene| scene.frame_rate_hz = 60.0),
     ]
 }
