@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from functools import cache, cached_property, partial
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -137,11 +138,23 @@ def _on_sensor(scene: Scene, sensor: Sensor) -> Scene:
     old, new = scene.to_dict(), sensor.scene().to_dict()
     shift_mm = np.append(new["gel"]["centre_mm"], new["gel"]["surface_mm"])
     shift_mm -= np.append(old["gel"]["centre_mm"], old["gel"]["surface_mm"])
-    moved = [{**key, "position_mm": list(np.add(key["position_mm"], shift_mm))} for key in old["trajectory"]]
+
+    def moved(trajectory: list[dict[str, Any]]) -> list[dict[str, Any]]:
+        return [{**key, "position_mm": list(np.add(key["position_mm"], shift_mm))} for key in trajectory]
+
+    others = [{**other, "trajectory": moved(other["trajectory"])} for other in old["others"]]
     names = ("rows", "cols", "pitch_mm", "dot_radius_mm", "surface_mm", "centre_mm", "bright_dots")
     gel = {name: new["gel"][name] for name in names}
     effects = {**old["effects"], "sensor_noise": new["effects"]["sensor_noise"]}
-    return scene.replace({"rig": new["rig"], "trajectory": moved, "gel": gel, "effects": effects})
+    return scene.replace(
+        {
+            "rig": new["rig"],
+            "trajectory": moved(old["trajectory"]),
+            "others": others,
+            "gel": gel,
+            "effects": effects,
+        }
+    )
 
 
 def _digest(scene: Scene, simulator: Simulator) -> str:
