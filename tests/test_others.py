@@ -10,6 +10,7 @@ import pytest
 import trimesh
 
 import gelstereo as gs
+from gelstereo.cli.main import main
 
 BALL = {"kind": "sphere", "radius_mm": 2.5}
 BLOCK = {"kind": "box", "size_mm": [3.0, 2.0, 4.0]}
@@ -93,6 +94,13 @@ def test_the_pipeline_sees_both_contacts() -> None:
     assert np.median(off_mm) < 0.02
     for part in range(2):
         assert frame.salient[drawn.touched_by == part].mean() > 0.6
+
+
+def test_the_command_writes_which_part_touches(tmp_path: Path) -> None:
+    path = Path(__file__).parents[1] / "scenes" / "two_fingers.toml"
+    assert main(["simulate", str(path), "--output", str(tmp_path), "--frames", "20"]) == 0
+    with np.load(tmp_path / "truth.npz") as truth:
+        assert set(np.unique(truth["touched_by"]).tolist()) == {-1, 0, 1}
 
 
 def test_a_call_that_names_no_part_says_so() -> None:

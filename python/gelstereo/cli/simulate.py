@@ -86,5 +86,7 @@ def _write_truth(path: Path, frames: list[SimulatedFrame], *, views: bool) -> No
         names += ["normals", "left_px", "right_px"]
     if all(frame.t_sensor_object is not None for frame in frames):
         names.append("t_sensor_object")
+    if any(len(frame.t_sensor_objects) > 1 for frame in frames):
+        names.append("touched_by")
     arrays: dict[str, Any] = {name: np.stack([getattr(frame, name) for frame in frames]) for name in names}
     np.savez_compressed(path, **arrays)
