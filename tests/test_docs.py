@@ -200,6 +200,7 @@ PUBLIC_MODULES = [
         "hid",
         "inspection",
         "live",
+        "part_surface",
         "parts",
         "point_files",
     ),

@@ -241,6 +241,26 @@ impl MotionTracker {
         self.inner().restart();
     }
 
+    /// The part's surface in the last frame, for `gelstereo.part_surface.PartSurface`.
+    ///
+    /// Returns
+    /// -------
+    /// points_mm : (M, 3) float64
+    ///     Markers in contact with enough neighbours for a normal, in the part's frame: the sensor frame at
+    ///     first touch.
+    /// normals : (M, 3) float64
+    ///     Unit normals out of the part.
+    /// sigma_mm : (M,) float64
+    ///     Standard deviations along the normals, by the noise of the markers.
+    fn surface(&self, py: Python<'_>) -> PyResult<(Matrix, Matrix, Array1<f64>)> {
+        let found: Vec<core::SurfacePoint> = self.inner().surface().collect();
+        Ok((
+            arrays::rows::<_, 3>(py, found.iter().map(|p| p.point_mm).collect())?,
+            arrays::rows::<_, 3>(py, found.iter().map(|p| p.normal).collect())?,
+            arrays::list(py, found.iter().map(|p| p.variance_mm2.max(0.0).sqrt()).collect()),
+        ))
+    }
+
     /// Find the motion up to the next frame of a pipeline.
     ///
     /// Parameters

@@ -1,7 +1,7 @@
 //! What is known of a part's motion.
 
 use super::travel::{MotionKind, Travel};
-use crate::math::Pose;
+use crate::math::{DVec3, Pose};
 use crate::slip::{RigidMotion, Slip};
 
 /// How well a motion is known.
@@ -87,4 +87,15 @@ pub struct Motion {
     pub travel: Travel,
     /// Slip of the contact.
     pub slip: Slip,
+}
+
+/// A point of a part's surface.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SurfacePoint {
+    /// Position, part frame.
+    pub point_mm: DVec3,
+    /// Unit normal out of the part.
+    pub normal: DVec3,
+    /// Variance of the position along the normal, by the noise of the marker.
+    pub variance_mm2: f64,
 }

@@ -15,6 +15,6 @@ mod fit;
 mod tracker;
 mod travel;
 
-pub use answer::{Motion, MotionSource, MotionStatus};
+pub use answer::{Motion, MotionSource, MotionStatus, SurfacePoint};
 pub use tracker::MotionTracker;
 pub use travel::{MotionKind, Travel};

@@ -1,6 +1,6 @@
 //! Follows a part from keyframe to keyframe.
 
-use super::answer::{Motion, MotionSource, MotionStatus};
+use super::answer::{Motion, MotionSource, MotionStatus, SurfacePoint};
 use super::chain::product;
 use super::cloud::{Cloud, Element, pitch_mm};
 use super::fit::{Fitted, Pair, Problem, inverse};
@@ -127,6 +127,18 @@ impl MotionTracker {
     #[must_use]
     pub fn stick(&self) -> &[Stick] {
         &self.stick
+    }
+
+    /// The part's surface in the last frame, in the part's frame: the sensor frame at first touch. Empty
+    /// without contact.
+    pub fn surface(&self) -> impl Iterator<Item = SurfacePoint> {
+        let back = self.last_pose.pose.inverse();
+        let elements = self.last.elements.iter().filter(|e| self.in_contact && e.has_normal());
+        elements.map(move |e| SurfacePoint {
+            point_mm: back.transform_point(e.point_mm),
+            normal: back.transform_vector(e.normal),
+            variance_mm2: e.normal.dot(e.covariance_mm2 * e.normal),
+        })
     }
 
     /// Forgets the contact: the next frame is the first touch.
