@@ -10,6 +10,13 @@ from hypothesis import strategies as st
 
 from gelstereo_bench.frontier import cost
 from gelstereo_bench.frontier.cost import Sample, fit_costs, rust_lines, time_table
+from gelstereo_bench.frontier.cost_registration import (
+    RegistrationSample,
+    fit_registration,
+    registration_table,
+    thinned,
+)
+from gelstereo_bench.frontier.grasps import GRASPED, NOISES, grasps
 
 
 def samples(seed: int, ms_per_unit: float) -> list[Sample]:
@@ -53,3 +60,26 @@ def test_the_constants_of_the_core_are_those_of_the_fit() -> None:
     source = Path(__file__).parents[1] / "crates/gelstereo-core/src/pipeline/work.rs"
     in_core = set(re.findall(r"const (\w+): Cost = ", source.read_text(encoding="utf-8")))
     assert in_core == set(re.findall(r"const (\w+): Cost", rust_lines(fit_costs(samples(1, 1e-3)))))
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.lists(st.floats(1e3, 1e7), min_size=4, max_size=4), st.integers(0, 1000))
+def test_the_fit_of_registration_finds_its_coefficients(coefficients: list[float], seed: int) -> None:
+    random = np.random.default_rng(seed)
+    made = []
+    for _ in range(30):
+        faces, salient = int(2 ** random.uniform(4, 16)), random.uniform(5, 300)
+        sample = RegistrationSample("m", "part", faces, salient, salient + random.uniform(0, 900), 0.0)
+        made.append(replace(sample, instructions=float(sample.row @ coefficients)))
+    found = fit_registration(made)
+    assert all(np.isclose(sample.row @ found, sample.instructions, rtol=1e-6) for sample in made)
+    assert registration_table(made).rows[0][-1] in ("+0 to +0", "-0 to +0", "-0 to -0")
+
+
+def test_thinned_contacts_keep_a_share_of_salient_and_other_markers() -> None:
+    one = next(grasps(GRASPED[1], NOISES[0], range(1, 2)))
+    salient, others = thinned(one, 1.0, 3)
+    assert len(salient) == len(one.points_mm) and len(salient) + len(others) == len(one.all_points_mm)
+    half, _ = thinned(one, 0.5, 3)
+    assert len(half) == round(0.5 * len(salient))
+    assert {tuple(point) for point in half} < {tuple(point) for point in salient}

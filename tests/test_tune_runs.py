@@ -221,6 +221,26 @@ def test_the_command_writes_settings_that_can_be_loaded(
     assert main([*words, "--error-um", "1000", "--measure-again"]) in (0, 1)
 
 
+def test_a_scene_is_tuned_on_the_users_sensor(tmp_path: Path) -> None:
+    """The part of the scene presses the gel of the sensor, and its cameras see it."""
+    gel = {"rows": 17, "cols": 19, "pitch_mm": 1.1, "dot_radius_mm": 0.25}
+    gel |= {key: PEG.to_dict()["gel"][key] for key in ("surface_mm", "centre_mm")}
+    gel |= {"noise_levels": 4.0, "point_sigma_mm": 0.01}
+    rig = gs.Rig.parallel((640, 480), 500.0, 6.0)
+    lattice = {"lattice.rows": 17, "lattice.cols": 19, "lattice.pitch_mm": 1.1}
+    (tmp_path / "sensor.toml").write_text(sensor_text(rig, "fast", lattice, gel))
+    PEG.save(tmp_path / "peg.toml")
+    words = ["tune", "--scene", "peg.toml", "--sensor", "sensor.toml", "--cache", "kept", "--output", "out.toml"]
+    words = [str(tmp_path / word) if "." in word or word == "kept" else word for word in words]
+    assert main([*words, "--takes", "2", "--error-um", "1000"]) in (0, 1)
+    tuned = gs.Params.load(tmp_path / "out.toml").to_dict()["lattice"]
+    assert (tuned["rows"], tuned["cols"], tuned["pitch_mm"]) == (17, 19, 1.1)
+    sensor = sensor_of(tmp_path)
+    shots = simulated_takes(PEG, 2, sensor=sensor).tuning[0].shots
+    frames = [gs.Pipeline(rig, sensor.params).process(shots[0].left, shots[0].right)]
+    assert (frames[0].rows, frames[0].cols) == (17, 19)
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [

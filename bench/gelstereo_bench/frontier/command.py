@@ -16,6 +16,11 @@ from gelstereo_bench.frontier.boards import measure_boards
 from gelstereo_bench.frontier.building import measure_building
 from gelstereo_bench.frontier.centres import CONDITIONS, measure_centres
 from gelstereo_bench.frontier.cost import cost_table, fit_costs, measure_costs, rust_lines, time_table
+from gelstereo_bench.frontier.cost_registration import (
+    measure_registration_costs,
+    registration_line,
+    registration_table,
+)
 from gelstereo_bench.frontier.covariance import measure_covariance
 from gelstereo_bench.frontier.deadlines import deadline_table, measure_deadlines
 from gelstereo_bench.frontier.figures import draw_errors, draw_growth
@@ -54,7 +59,7 @@ __all__ = ["EXAMPLES", "add_arguments", "run"]
 EXAMPLES = """examples:
   gelstereo frontier                     measure everything and write docs/accuracy-vs-time.md (minutes)
   gelstereo frontier localization        registration beside other libraries: docs/localization.md
-  gelstereo frontier cost                instructions over image size and markers: the model of deadlines
+  gelstereo frontier cost                instructions over image size, markers and faces: the cost model
   gelstereo frontier deadlines           how often deadlines are kept beside another process
   gelstereo frontier tuning              the tuner beside exhaustive search and Optuna: docs/tuning.md
   gelstereo frontier pipeline            whole pipelines beside other libraries: the picture of the price of
@@ -140,10 +145,13 @@ def _localization(arguments: argparse.Namespace, rounds: int, starts: int) -> in
 
 def _cost(arguments: argparse.Namespace) -> int:
     page = arguments.docs / "accuracy-vs-time.md"
-    check_page(page, ("cost", "cost-times"))
+    check_page(page, ("cost", "cost-registration", "cost-times"))
     samples = measure_costs(Path.cwd(), _report, arguments.quick)
     cost = fit_costs(samples)
-    write_tables(page, cost_table(samples, cost), time_table(samples, cost))
+    registered = measure_registration_costs(Path.cwd(), _report, arguments.quick)
+    tables = [cost_table(samples, cost), time_table(samples, cost), registration_table(registered)]
+    write_tables(page, *tables)
+    print(f"registration: {registration_line(registered)}")
     print(f"wrote {page}; for crates/gelstereo-core/src/pipeline/work.rs:\n{rust_lines(cost)}")
     return 0
 
