@@ -365,9 +365,10 @@ def test_a_killed_host_leaves_a_robot_that_stops_by_itself(tmp_path: Path, press
 
 @pytest.mark.long
 def test_triggers_of_many_runs(tmp_path: Path, press) -> None:
-    """From image to the stop's last byte over 20 runs; printed, since it depends on the computer."""
+    """From image to the stop's last byte over many runs; printed, since it depends on the computer."""
     image_to_wire, sensed_to_wire = [], []
-    for run in range(20):
+    runs = int(os.environ.get("GELSTEREO_RUNS", "20"))
+    for run in range(runs):
         folder = tmp_path / str(run)
         folder.mkdir()
         with cell(folder, press) as (host, camera, _, server):
@@ -381,7 +382,7 @@ def test_triggers_of_many_runs(tmp_path: Path, press) -> None:
                 image_to_wire.append(stop["image_to_wire_ms"])
                 sensed_to_wire.append(stop["sensed_to_wire_ms"])
         shutil.rmtree(folder)
-    assert len(image_to_wire) >= 20
+    assert len(image_to_wire) >= runs
     for name, values in (("image to wire", image_to_wire), ("sensed to wire", sensed_to_wire)):
         print(
             f"{name}: p50 {np.quantile(values, 0.5):.1f} ms, p99 {np.quantile(values, 0.99):.1f} ms of "

@@ -230,7 +230,17 @@ def test_a_scene_is_tuned_on_the_users_sensor(tmp_path: Path) -> None:
     lattice = {"lattice.rows": 17, "lattice.cols": 19, "lattice.pitch_mm": 1.1}
     (tmp_path / "sensor.toml").write_text(sensor_text(rig, "fast", lattice, gel))
     PEG.save(tmp_path / "peg.toml")
-    words = ["tune", "--scene", "peg.toml", "--sensor", "sensor.toml", "--cache", "kept", "--output", "out.toml"]
+    words = [
+        "tune",
+        "--scene",
+        "peg.toml",
+        "--sensor",
+        "sensor.toml",
+        "--cache",
+        "kept",
+        "--output",
+        "out.toml",
+    ]
     words = [str(tmp_path / word) if "." in word or word == "kept" else word for word in words]
     assert main([*words, "--takes", "2", "--error-um", "1000"]) in (0, 1)
     tuned = gs.Params.load(tmp_path / "out.toml").to_dict()["lattice"]

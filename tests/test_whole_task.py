@@ -8,6 +8,7 @@ truth.
 
 from __future__ import annotations
 
+import os
 import random
 import subprocess
 import time
@@ -28,6 +29,9 @@ pytest.importorskip("pymodbus")
 mcap_reader = pytest.importorskip("mcap.reader")
 
 pytestmark = pytest.mark.realtime
+
+#: Tasks of each long test.
+RUNS = int(os.environ.get("GELSTEREO_RUNS", "20"))
 
 # The moment of a kill: after so many of these commands, and up to this long after.
 MOMENTS = [
@@ -120,9 +124,9 @@ def print_latency(stops: list[dict[str, Any]]) -> None:
 
 
 @pytest.mark.long
-def test_twenty_seeds_are_inserted_or_refused_with_a_reason(tmp_path: Path) -> None:
+def test_many_seeds_are_inserted_or_refused_with_a_reason(tmp_path: Path) -> None:
     kinds, exposed, stops = Counter[str](), Counter[tuple[str, int]](), []
-    for seed in range(1, 21):
+    for seed in range(1, 1 + RUNS):
         folder = tmp_path / str(seed)
         folder.mkdir()
         with cell(folder, Setting(seed, ("robotiq", "dh")[seed % 2])) as opened:
@@ -134,7 +138,7 @@ def test_twenty_seeds_are_inserted_or_refused_with_a_reason(tmp_path: Path) -> N
             stops += outcome.report["latency"]["stops"]
     print(kinds, "frames exposed before the stop:", exposed)
     print_latency(stops)
-    assert kinds["inserted"] >= 15, kinds
+    assert kinds["inserted"] >= 0.75 * RUNS, kinds
 
 
 def recovered(recording: Path) -> dict[str, Any]:
@@ -193,5 +197,5 @@ def test_killed_parts_end_the_task_safely(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-def test_twenty_kills_at_random_moments_end_safely(tmp_path: Path) -> None:
-    kill_all(tmp_path, [(PARTS[number % len(PARTS)], random.Random(number)) for number in range(20)])
+def test_many_kills_at_random_moments_end_safely(tmp_path: Path) -> None:
+    kill_all(tmp_path, [(PARTS[number % len(PARTS)], random.Random(number)) for number in range(RUNS)])
