@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import gelstereo as gs
-from gelstereo.geometry import se3_exp
-from gelstereo.part_surface import PartSurface
+from gelstereo.geometry import se3_exp, se3_log
+from gelstereo.part_surface import PartSurface, RecognitionStatus
 
 
 def sphere(seed: int, count: int = 300) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -96,6 +96,71 @@ def test_the_surface_of_a_rolled_cylinder_grows() -> None:
     assert np.median(np.sum(outward * local[:, :2], axis=1) / np.hypot(*local[:, :2].T)) > 0.99
     arc = np.degrees(np.ptp(np.unwrap(np.sort(np.arctan2(local[:, 1], local[:, 0])))))
     assert sizes[-1] > 2 * sizes[0] and arc > 110.0, (sizes, arc)
+
+
+def contact(simulator: gs.Simulator, start: np.ndarray, seed: int) -> tuple[np.ndarray, PartSurface, tuple]:
+    """A part pressed and rocked: its pose at touch, its grown surface, and that of the first frame."""
+    random, noise_mm = np.random.default_rng(seed), np.array([0.0015, 0.0015, 0.005])
+    rest = simulator.advance(None, frame=0).points_mm
+    tracker = gs.MotionTracker(gs.RestSurface(rest), gs.Params(), cols=25)
+    covariance = np.tile(np.diag(noise_mm**2), (len(rest), 1, 1))
+    touch = pose = np.asarray(simulator.pressed(start, 0.8))
+    surface, first = PartSurface(), None
+    for index in range(1, 6):
+        frame = simulator.advance(pose, frame=index)
+        assert frame.loads is not None
+        points = frame.points_mm + noise_mm * random.normal(size=rest.shape)
+        tracker.run(points, covariance, [bool(stick) for stick in frame.loads.stick])
+        first = first or tracker.surface()
+        surface.add(*tracker.surface())
+        rock = np.eye(4)
+        rock[:3, 3] = pose[:3, 3]
+        pose = np.asarray(rock @ se3_exp(np.array([0.01, 0.01, 0, 0, 0, 0])) @ np.linalg.inv(rock) @ pose)
+    assert first is not None
+    return touch, surface, first
+
+
+def test_a_part_that_comes_back_is_recognized() -> None:
+    peg = {"kind": "cylinder", "radius_mm": 3.0, "length_mm": 20.0}
+    start = np.eye(4)
+    start[:3, :3] = [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]
+    start[:3, 3] = 4.0, 0.0, 40.0
+    move = np.eye(4)
+    move[:3, 3] = 1.3, -0.4, 0.0
+    simulator = gs.Simulator(gs.Scene().replace(indenter=peg, effects={"elastic_layer": {"friction": 2.0}}))
+    turned = start @ se3_exp(np.array([0.0, 0.06, 0.0, 0.0, 0.0, 0.0]))
+    first, known, _ = contact(simulator, start, 1)
+    second, _, seen = contact(simulator, move @ turned, 2)
+    truth = second @ np.linalg.inv(first)
+    middle = np.eye(4)
+    middle[:3, 3] = seen[0].mean(axis=0)
+    off = np.array([0.05, -0.04, 0.06, 0.3, 0.2, -0.3])
+    guess = middle @ se3_exp(off) @ np.linalg.inv(middle) @ truth
+    found = known.recognize(*seen, guess=guess)
+    assert found.status == RecognitionStatus.FOUND, found
+    # Neither its spin nor its shift along the axis is seen.
+    assert found.determined == 4
+    to = np.eye(4)
+    to[:3, 3] = -found.about_mm
+    error = se3_log(to @ truth @ np.linalg.inv(found.t_contact_part) @ np.linalg.inv(to))
+    assert error @ np.linalg.solve(found.covariance, error) < 25.0
+    # At the axis, which spin and shift leave in place.
+    to[:3, 3] = -second[:3, 3]
+    axis = se3_log(to @ truth @ np.linalg.inv(found.t_contact_part) @ np.linalg.inv(to))
+    assert np.all(np.abs(axis[[0, 2]]) < 0.01) and np.all(np.abs(axis[[3, 5]]) < 0.02), axis
+    assert repr(found).startswith("<Recognition: FOUND, ")
+    ball = gs.Scene().replace(indenter={"kind": "sphere", "radius_mm": 4.0}, effects={"elastic_layer": {}})
+    _, _, other = contact(gs.Simulator(ball), start, 3)
+    assert known.recognize(*other, guess=guess).status != RecognitionStatus.FOUND
+    names = {status.name: status.value for status in RecognitionStatus}
+    assert gs._native.recognition_statuses() == names
+    assert PartSurface().recognize(*seen, guess=guess).status == RecognitionStatus.TOO_LITTLE
+    with pytest.raises(ValueError, match="the contact 0, the guess"):
+        known.recognize(np.zeros((0, 3)), np.zeros((0, 3)), [], guess=guess)
+    with pytest.raises(ValueError, match="valid are points with normals"):
+        known.recognize(*seen, guess=guess, guess_sigma=(0.0, 1.0))
+    with pytest.raises(gs.PoseError):
+        known.recognize(*seen, guess=2.0 * guess)
 
 
 def test_invalid_points_are_refused() -> None:

@@ -56,6 +56,7 @@ __all__ = [
     "PlannedEffect",
     "PoseError",
     "RandomStream",
+    "Recognition",
     "Rectification",
     "RegisterError",
     "RestLattice",
@@ -102,6 +103,8 @@ __all__ = [
     "pair_views",
     "parse_toml",
     "pressure_saliency",
+    "recognition_statuses",
+    "recognize_surface",
     "rest_lattice",
     "rigid_fit",
     "se3_exp",
@@ -455,6 +458,25 @@ class Motion:
     def slid_sigma_mm(self) -> float: ...
     @property
     def slip(self) -> Slip: ...
+
+@final
+class Recognition:
+    @property
+    def status(self) -> int: ...
+    @property
+    def t_contact_part(self) -> _Floats: ...
+    @property
+    def covariance(self) -> _Floats: ...
+    @property
+    def about_mm(self) -> _Floats: ...
+    @property
+    def other(self) -> _Floats | None: ...
+    @property
+    def determined(self) -> int: ...
+    @property
+    def matched(self) -> int: ...
+    @property
+    def mean_square(self) -> float: ...
 
 @final
 class MotionTracker:
@@ -1086,6 +1108,16 @@ def shape_mesh(
 ) -> tuple[_Floats, npt.NDArray[np.int64]]: ...
 def sights() -> dict[str, int]: ...
 def sticks() -> dict[str, int]: ...
+def recognition_statuses() -> dict[str, int]: ...
+def recognize_surface(
+    known: npt.ArrayLike,
+    contact: npt.ArrayLike,
+    guess: npt.ArrayLike,
+    sigma: tuple[float, float],
+    *,
+    spacing_mm: float,
+    surface_sigma_mm: float,
+) -> Recognition | None: ...
 def motion_kinds() -> dict[str, int]: ...
 def motion_sources() -> dict[str, int]: ...
 def motion_statuses() -> dict[str, int]: ...

@@ -6,20 +6,41 @@ and writes them as PLY or STL.
 
 from __future__ import annotations
 
+from enum import IntEnum
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from gelstereo import Template, TemplateError
+from gelstereo._native import Recognition, recognize_surface
 
-__all__ = ["PartSurface"]
+__all__ = ["PartSurface", "Recognition", "RecognitionStatus"]
 
 _Floats = npt.NDArray[np.float64]
 
 #: Corners of a disc in an STL file, and its radius in voxels. Points of a flat surface that fills each voxel
 #: with one point are at most 0.71 voxels from the nearest one.
 _CORNERS, _RADIUS = 6, 0.75
+
+
+class RecognitionStatus(IntEnum):
+    """Whether a contact is recognized, as in `Recognition.status`.
+
+    Examples
+    --------
+    >>> RecognitionStatus(0).name
+    'FOUND'
+    """
+
+    FOUND = 0
+    """The pose is the only likely one, and noise explains the residuals."""
+    AMBIGUOUS = 1
+    """Another pose is as likely."""
+    MISFIT = 2
+    """Noise does not explain the residuals."""
+    TOO_LITTLE = 3
+    """Less than half of the points have a counterpart, or fewer than eight."""
 
 
 class PartSurface:
@@ -75,19 +96,8 @@ class PartSurface:
         ValueError
             If the shapes differ, a number is not finite, or a standard deviation is not positive.
         """
-        points, out = np.asarray(points_mm, np.float64), np.asarray(normals, np.float64)
-        sigma = np.asarray(sigma_mm, np.float64)
-        count = len(sigma) if sigma.ndim == 1 else -1
-        if points.shape != (count, 3) or out.shape != (count, 3):
-            raise ValueError(
-                f"the points have shape {points.shape}, the normals {out.shape} and the standard deviations "
-                f"{sigma.shape}; valid is (M, 3), (M, 3) and (M,)"
-            )
-        if not (np.isfinite(points).all() and np.isfinite(out).all() and np.all((sigma > 0) & (sigma < 1e9))):
-            raise ValueError(
-                "a point, a normal or a standard deviation is not finite, or a standard deviation is not "
-                "positive; leave such points out"
-            )
+        points, out, sigma = _checked(points_mm, normals, sigma_mm)
+        count = len(points)
         weight = 1.0 / sigma[:, None] ** 2
         keys = np.vstack([self._keys, np.floor(points / self.voxel_mm).astype(np.int64)])
         sums = np.vstack([self._sums, weight * np.hstack([np.ones((count, 1)), points, out])])
@@ -114,6 +124,58 @@ class PartSurface:
         independent, and are not in it.
         """
         return np.asarray(1.0 / np.sqrt(self._sums[:, 0]))
+
+    def recognize(
+        self,
+        points_mm: npt.ArrayLike,
+        normals: npt.ArrayLike,
+        sigma_mm: npt.ArrayLike,
+        *,
+        guess: npt.ArrayLike,
+        guess_sigma: tuple[float, float] = (0.1, 0.5),
+        spacing_mm: float = 0.9,
+        surface_sigma_mm: float = 0.005,
+    ) -> Recognition:
+        """Find where the surface of a new contact is on this one.
+
+        Parameters
+        ----------
+        points_mm, normals, sigma_mm : array_like
+            Surface of the contact, in its frame; see `add`.
+        guess : (4, 4) array_like
+            Expected pose that moves this surface onto the contact, such as that by the gripper's motion.
+        guess_sigma : (float, float)
+            Its standard deviations in radians and millimetres, at the contact.
+        spacing_mm : float
+            Distance of neighbours in the contact.
+        surface_sigma_mm : float
+            Standard deviation of the distance of both surfaces, in addition to the noise of their points.
+
+        Returns
+        -------
+        Recognition
+            With a status that a program can branch on. Directions that the surface does not determine keep
+            the guess and its variance.
+
+        Raises
+        ------
+        ValueError
+            If there are no points, or a number is not valid.
+        PoseError
+            If the guess is not a pose.
+        """
+        points, out, sigma = _checked(points_mm, normals, sigma_mm)
+        known = np.hstack([self.points_mm, self.normals, self.sigma_mm[:, None]])
+        contact = np.hstack([points, out, sigma[:, None]])
+        settings = {"spacing_mm": spacing_mm, "surface_sigma_mm": surface_sigma_mm}
+        found = recognize_surface(known, contact, guess, guess_sigma, **settings)
+        if found is None:
+            raise ValueError(
+                f"the surface has {len(self)} points, the contact {len(points)}, the guess deviations "
+                f"{guess_sigma} and the spacing is {spacing_mm} mm; valid are points with normals, and "
+                "positive numbers"
+            )
+        return found
 
     def template(self) -> Template:
         """A template of what is known of the part.
@@ -171,3 +233,23 @@ class PartSurface:
         triangles["corners"][..., 2, :] = np.roll(rim, -1, axis=1)
         count = np.uint32(triangles.size).astype("<u4").tobytes()
         Path(path).write_bytes(b"discs in mm".ljust(80) + count + triangles.tobytes())
+
+
+def _checked(
+    points_mm: npt.ArrayLike, normals: npt.ArrayLike, sigma_mm: npt.ArrayLike
+) -> tuple[_Floats, _Floats, _Floats]:
+    """Points of one frame as arrays."""
+    points, out = np.asarray(points_mm, np.float64), np.asarray(normals, np.float64)
+    sigma = np.asarray(sigma_mm, np.float64)
+    count = len(sigma) if sigma.ndim == 1 else -1
+    if points.shape != (count, 3) or out.shape != (count, 3):
+        raise ValueError(
+            f"the points have shape {points.shape}, the normals {out.shape} and the standard deviations "
+            f"{sigma.shape}; valid is (M, 3), (M, 3) and (M,)"
+        )
+    if not (np.isfinite(points).all() and np.isfinite(out).all() and np.all((sigma > 0) & (sigma < 1e9))):
+        raise ValueError(
+            "a point, a normal or a standard deviation is not finite, or a standard deviation is not "
+            "positive; leave such points out"
+        )
+    return points, out, sigma

@@ -34,6 +34,7 @@ mod localizer_long;
 mod marker_mesh;
 mod math;
 mod motion;
+mod motion_recognize;
 mod mount;
 mod partial_borders;
 mod pitch;

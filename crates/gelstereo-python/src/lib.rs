@@ -85,7 +85,10 @@ mod _native {
     #[pymodule_export]
     use crate::marker_tracker::{MarkerTracker, TrackedMarkers, pair_views};
     #[pymodule_export]
-    use crate::motion::{Motion, MotionTracker, motion_kinds, motion_sources, motion_statuses};
+    use crate::motion::{
+        Motion, MotionTracker, Recognition, motion_kinds, motion_sources, motion_statuses,
+        recognition_statuses, recognize_surface,
+    };
     #[pymodule_export]
     use crate::params::Params;
     #[pymodule_export]

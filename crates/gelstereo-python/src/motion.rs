@@ -189,6 +189,109 @@ impl Motion {
     }
 }
 
+/// Where a contact is on a known surface.
+#[pyclass(frozen, module = "gelstereo")]
+pub struct Recognition {
+    inner: core::Recognition,
+}
+
+#[pymethods]
+impl Recognition {
+    /// Whether the contact is recognized: value of `gelstereo.part_surface.RecognitionStatus`.
+    #[getter]
+    const fn status(&self) -> u8 {
+        self.inner.status as u8
+    }
+
+    /// (4, 4) pose that moves the known surface onto the contact.
+    #[getter]
+    fn t_contact_part(&self, py: Python<'_>) -> PyResult<Matrix> {
+        arrays::matrix(py, self.inner.t_contact_part.pose.to_rows())
+    }
+
+    /// (6, 6) covariance of a small rotation about `about_mm` and a small translation after it: rad²,
+    /// rad mm and mm².
+    #[getter]
+    fn covariance(&self, py: Python<'_>) -> PyResult<Matrix> {
+        arrays::matrix(py, self.inner.t_contact_part.covariance)
+    }
+
+    /// (3,) centroid of the contact.
+    #[getter]
+    fn about_mm(&self, py: Python<'_>) -> Array1<f64> {
+        arrays::list(py, self.inner.t_contact_part.about_mm.to_array().to_vec())
+    }
+
+    /// (4, 4) second most likely pose; `None` if all starts led to one.
+    #[getter]
+    fn other(&self, py: Python<'_>) -> PyResult<Option<Matrix>> {
+        self.inner.other.map(|pose| arrays::matrix(py, pose.to_rows())).transpose()
+    }
+
+    /// Directions, of six, that the surface determines better than the guess.
+    #[getter]
+    const fn determined(&self) -> u8 {
+        self.inner.determined
+    }
+
+    /// Points of the contact with a counterpart.
+    #[getter]
+    const fn matched(&self) -> u32 {
+        self.inner.matched
+    }
+
+    /// Mean of their squared residuals over their variances.
+    #[getter]
+    const fn mean_square(&self) -> f64 {
+        self.inner.mean_square
+    }
+
+    fn __repr__(&self) -> String {
+        let all = core::RecognitionStatus::ALL;
+        let name = all.iter().find(|(_, status)| *status == self.inner.status).map_or("", |(name, _)| name);
+        let (matched, square) = (self.inner.matched, self.inner.mean_square);
+        format!("<Recognition: {name}, {matched} points match, mean square {square:.2}>")
+    }
+}
+
+/// Names and values of whether a contact is recognized, repeated in
+/// `gelstereo.part_surface.RecognitionStatus` for typing.
+#[pyfunction]
+pub fn recognition_statuses() -> BTreeMap<&'static str, u8> {
+    core::RecognitionStatus::ALL.map(|(name, status)| (name, status as u8)).into()
+}
+
+/// Finds where a contact is on a known surface. `gelstereo.part_surface.PartSurface.recognize` checks what it
+/// is given; `None` for numbers that are not valid.
+#[pyfunction]
+#[pyo3(signature = (known, contact, guess, sigma, *, spacing_mm, surface_sigma_mm))]
+pub fn recognize_surface(
+    py: Python<'_>,
+    known: &Bound<'_, PyAny>,
+    contact: &Bound<'_, PyAny>,
+    guess: &Bound<'_, PyAny>,
+    sigma: (f64, f64),
+    spacing_mm: f64,
+    surface_sigma_mm: f64,
+) -> PyResult<Option<Recognition>> {
+    let surface_points = |object, name| -> PyResult<Vec<core::SurfacePoint>> {
+        let numbers = Numbers::new(object, name)?;
+        let point = |row: &[f64; 7]| {
+            let [x, y, z, a, b, c, sigma] = *row;
+            let (point_mm, normal) = (DVec3::new(x, y, z), DVec3::new(a, b, c));
+            core::SurfacePoint { point_mm, normal, variance_mm2: sigma * sigma }
+        };
+        Ok(numbers.rows::<[f64; 7], 7>()?.iter().map(point).collect())
+    };
+    let (points, contact) = (surface_points(known, "known")?, surface_points(contact, "contact")?);
+    let guess = arrays::pose(guess, "guess")?;
+    let found = py.detach(|| {
+        let known = core::KnownSurface { points: &points, spacing_mm, surface_sigma_mm };
+        known.recognize(&contact, &guess, [sigma.0, sigma.1])
+    });
+    Ok(found.map(|inner| Recognition { inner }))
+}
+
 /// Follows a part without a model, from markers that stick and the surface of the contact.
 ///
 /// Parameters

@@ -12,8 +12,6 @@ const HALF: f64 = 9.0;
 const OUTLIER: f64 = 25.0;
 /// Rounds of reweighting and matching; four to seven are usual.
 const MAX_ROUNDS: u32 = 20;
-/// Rounds in which elements are matched anew; later ones do not jump between two matches.
-const MATCHING_ROUNDS: u32 = 4;
 /// Largest last step, radians and millimetres: a hundredth of the noise of a motion.
 const SETTLED: f64 = 1e-5;
 /// Elements are matched up to this tangential distance, in marker distances: half the diagonal of a square
@@ -48,6 +46,8 @@ pub(super) struct Problem<'a> {
     pub free: [f64; 2],
     /// Frames since the keyframe.
     pub frames: f64,
+    /// Rounds in which elements are matched anew; later ones do not jump between two matches.
+    pub matching_rounds: u32,
 }
 
 /// A motion since the keyframe.
@@ -58,6 +58,10 @@ pub(super) struct Fitted {
     pub step_covariance: Symmetric<6>,
     pub determined: u8,
     pub matched: u32,
+    /// Sum of the squared residuals of matched elements over their variances, without outliers.
+    pub chi2: f64,
+    /// Squared distance from the expected motion, in its variances.
+    pub prior_cost: f64,
 }
 
 /// Normal equations in units of the free motion of one frame.
@@ -66,6 +70,7 @@ struct Sums {
     information: Symmetric<6>,
     right: [f64; 6],
     matched: u32,
+    chi2: f64,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -87,11 +92,21 @@ impl Weights {
 impl Problem<'_> {
     /// The most probable motion near `start`; `None` if a number is not finite.
     pub fn fit(&self, start: &Pose, matches: &mut Vec<Option<usize>>) -> Option<Fitted> {
+        self.fit_from(start, [0.0; 6], matches)
+    }
+
+    /// The most probable motion near the one that is this many free motions away from the expected one.
+    pub fn fit_from(
+        &self,
+        expected: &Pose,
+        offset: [f64; 6],
+        matches: &mut Vec<Option<usize>>,
+    ) -> Option<Fitted> {
         // The sum of unknown motions of a constant rate grows with the number of frames.
         let prior = 1.0 / (self.frames * self.frames);
-        let (mut pose, mut since_start) = (*start, [0.0; 6]);
+        let (mut pose, mut since_start) = (self.moved(expected, &offset)?, offset);
         for round in 0..MAX_ROUNDS {
-            if round < MATCHING_ROUNDS {
+            if round < self.matching_rounds {
                 self.match_elements(&pose, matches);
             }
             let Sums { mut information, mut right, .. } = self.sums(&pose, matches, Weights::Cauchy);
@@ -101,10 +116,8 @@ impl Problem<'_> {
             }
             let step = solve_definite(&information, &right)?;
             since_start = core::array::from_fn(|k| since_start[k] + step[k]);
+            pose = self.moved(&pose, &step)?;
             let (omega, v) = self.unscaled(&step);
-            let turn = Pose { rotation: so3::exp(omega), translation_mm: DVec3::ZERO };
-            let to = |at: DVec3| Pose::from_translation_mm(at);
-            pose = (to(self.about_mm + v) * turn * to(-self.about_mm) * pose).normalized().ok()?;
             if omega.length().max(v.length()) < SETTLED {
                 break;
             }
@@ -122,7 +135,17 @@ impl Problem<'_> {
             })
         };
         let motion = RigidMotion { pose, about_mm: self.about_mm, covariance: covariance(prior) };
-        Some(Fitted { motion, step_covariance: covariance(1.0), determined, matched: sums.matched })
+        let prior_cost = prior * since_start.iter().map(|x| x * x).sum::<f64>();
+        let (step_covariance, Sums { matched, chi2, .. }) = (covariance(1.0), sums);
+        Some(Fitted { motion, step_covariance, determined, matched, chi2, prior_cost })
+    }
+
+    /// The pose after a small motion about the point of reference.
+    fn moved(&self, pose: &Pose, step: &[f64; 6]) -> Option<Pose> {
+        let (omega, v) = self.unscaled(step);
+        let turn = Pose { rotation: so3::exp(omega), translation_mm: DVec3::ZERO };
+        let to = |at: DVec3| Pose::from_translation_mm(at);
+        (to(self.about_mm + v) * turn * to(-self.about_mm) * *pose).normalized().ok()
     }
 
     fn unscaled(&self, step: &[f64; 6]) -> (DVec3, DVec3) {
@@ -220,7 +243,7 @@ impl Problem<'_> {
         let noise = noise.whole();
         // Residuals larger than their noise: the surface is not what it was (Birge 1932).
         let ratio = (chi2 / (f64::from(matched) - 6.0).max(1.0)).max(1.0);
-        let mut sums = Sums { information: [[0.0; 6]; 6], right: [0.0; 6], matched };
+        let mut sums = Sums { information: [[0.0; 6]; 6], right: [0.0; 6], matched, chi2 };
         for (value, u) in found.values.iter().zip(&found.vectors) {
             let along: f64 = (0..36).map(|n| u[n / 6] * noise[n / 6][n % 6] * u[n % 6]).sum();
             if *value <= NOISE_RATIO * along || *value <= 0.0 {

@@ -12,9 +12,11 @@ mod answer;
 mod chain;
 mod cloud;
 mod fit;
+mod recognize;
 mod tracker;
 mod travel;
 
 pub use answer::{Motion, MotionSource, MotionStatus, SurfacePoint};
+pub use recognize::{KnownSurface, Recognition, RecognitionStatus};
 pub use tracker::MotionTracker;
 pub use travel::{MotionKind, Travel};

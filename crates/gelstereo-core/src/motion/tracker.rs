@@ -14,6 +14,8 @@ use alloc::vec::Vec;
 
 /// Fewest markers of a rigid motion.
 const MIN_MARKERS: usize = 3;
+/// The part has hardly moved since the last frame, so that matches settle soon.
+const MATCHING_ROUNDS: u32 = 4;
 
 /// The frame that later ones are compared with.
 #[derive(Clone, Debug)]
@@ -257,6 +259,7 @@ impl MotionTracker {
             surface_sigma_mm: self.params.surface_sigma_mm,
             free: [self.params.free_turn_rad, self.params.free_shift_mm],
             frames: f64::from(self.keyframe.frames),
+            matching_rounds: MATCHING_ROUNDS,
         };
         problem.fit(&self.keyframe.to_last, &mut self.matches)
     }
