@@ -29,7 +29,7 @@ explore: export PROPTEST_CASES ?= 200
 test-rust: prerequisites
 	$(PYTHON) .ci/imports.py crates/gelstereo-core/src
 	cargo fmt --all --check
-	@! git grep -nP '^.{111,}' -- '*.rs' || { echo 'the lines above have more than 110 columns'; exit 1; }
+	@! LC_ALL=C.UTF-8 git grep -nP '^.{111,}' -- '*.rs' || { echo 'the lines above have more than 110 columns'; exit 1; }
 	cargo test --workspace --lib --bins --tests --quiet
 	cargo test --workspace --doc --quiet
 

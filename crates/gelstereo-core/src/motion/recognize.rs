@@ -27,7 +27,8 @@ const ONE_IN_A_HUNDRED: f64 = 2.326;
 const NORMAL_SHARE: f64 = 3.0;
 /// Share of the points with a counterpart below which the surfaces hardly overlap.
 const MIN_SHARE: f64 = 0.5;
-/// Two more than a rigid motion has components, so that residuals tell something.
+/// Two more than a rigid motion has components, so that residuals tell something. With six, one contact of
+/// another part was found among the 32 above.
 const MIN_MATCHED: u32 = 8;
 
 /// Whether a contact is recognized.
