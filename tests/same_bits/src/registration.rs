@@ -6,11 +6,15 @@ use crate::sensor::{Sensor, scene};
 use crate::{Digests, Outcome};
 use alloc::format;
 use alloc::vec::Vec;
+use gelstereo_core::contact::RestSurface;
 use gelstereo_core::digest::Digest;
+use gelstereo_core::force::MovedMarkers;
 use gelstereo_core::math::{DVec3, Pose};
-use gelstereo_core::params::{RegisterMethod, RegisterParams};
+use gelstereo_core::motion::MotionTracker;
+use gelstereo_core::params::{MotionParams, RegisterMethod, RegisterParams, SlipParams};
 use gelstereo_core::pipeline::{Frame, Pipeline, Touch};
 use gelstereo_core::register::{Localizer, Registrar};
+use gelstereo_core::slip::RigidMotion;
 use gelstereo_core::surface::TriangleMesh;
 
 /// How far the part has turned in the frames that touch.
@@ -75,5 +79,31 @@ pub fn followed(out: &mut Digests) -> Outcome<()> {
         }
         out.push((format!("follow/{method:?}"), digest.value()));
     }
+    out.push(("follow/without_model".into(), without_model(&mesh)?.value()));
     Ok(())
+}
+
+/// A part that turns on the gel, without its template.
+fn without_model(mesh: &TriangleMesh) -> Outcome<Digest> {
+    let scene = scene();
+    let mut sensor = Sensor::new(&scene, mesh)?;
+    let mut pipeline = Pipeline::new(&scene.rig, &preset("balanced")?)?;
+    let mut frame = Frame::default();
+    sensor.press(0.0, 0.0)?.0.sense(&mut pipeline, &mut frame)?;
+    let (rest, cols) = (RestSurface::new(&frame.points_mm)?, scene.gel.cols as usize);
+    let mut tracker = MotionTracker::new(&SlipParams::default(), &MotionParams::default(), &rest, cols)?;
+    let mut digest = Digest::new();
+    for turn_rad in TURNS_RAD {
+        sensor.press(0.9, turn_rad)?.0.sense(&mut pipeline, &mut frame)?;
+        let Frame { points_mm, covariance_mm2, state, patch, .. } = &frame;
+        let moved = MovedMarkers { points_mm, covariance_mm2, state, patch };
+        let motion = tracker.run(&moved)?.ok_or("nothing touches")?;
+        let RigidMotion { pose, about_mm, covariance } = motion.since_touch;
+        digest = digest
+            .f64s(pose.to_rows().into_iter().flatten())
+            .f64s(about_mm.to_array())
+            .f64s(covariance.into_iter().flatten())
+            .u64(u64::from(motion.determined));
+    }
+    Ok(digest)
 }
