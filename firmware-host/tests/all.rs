@@ -23,3 +23,4 @@ mod sense;
 mod stream;
 mod task;
 mod teach;
+mod triggers;
