@@ -48,10 +48,10 @@ fn too_few_sigmas_are_a_typed_error() {
         for bad in ["7.2", "-8", "nan", "inf"] {
             let config = Config::parse(&format!("[task]\n{key} = {bad}"), "cell.toml").unwrap();
             let error = config.validate().unwrap_err();
-            assert!(
-                matches!(error, ConfigError::Value { name: found, valid: "7.3 to 1000000", .. } if found == name),
-                "{key} = {bad}: {error}"
-            );
+            let ConfigError::Value { name: found, valid, .. } = &error else {
+                panic!("{key} = {bad}: {error}")
+            };
+            assert_eq!((*found, *valid), (name, "7.3 to 1000000"), "{key} = {bad}");
         }
         let good = Config::parse(&format!("[task]\n{key} = 8"), "cell.toml").unwrap();
         good.validate().unwrap();

@@ -100,7 +100,7 @@ def write_contact(path: Path, guess: Array, covariance: Array, points: tuple[Arr
 def measure_registration_costs(source: Path, report: Report, quick: bool = False) -> list[RegistrationSample]:
     """Count the instructions of registrations, for each method on each part, mesh and share of markers."""
     counter = InstructionCounter(source)
-    out = []
+    out: list[RegistrationSample] = []
     for press in GRASPED[:1] if quick else GRASPED:
         contacts = list(grasps(press, NOISES[0], range(1, 1 + CONTACTS)))
         out.extend(_of_part(contacts, counter, report))
