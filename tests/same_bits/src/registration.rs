@@ -90,7 +90,7 @@ fn without_model(mesh: &TriangleMesh) -> Outcome<Digest> {
     let mut pipeline = Pipeline::new(&scene.rig, &preset("balanced")?)?;
     let mut frame = Frame::default();
     sensor.press(0.0, 0.0)?.0.sense(&mut pipeline, &mut frame)?;
-    let (rest, cols) = (RestSurface::new(&frame.points_mm)?, scene.gel.cols as usize);
+    let (rest, cols) = (RestSurface::new(&frame.points_mm)?, scene.gel.cols);
     let mut tracker = MotionTracker::new(&SlipParams::default(), &MotionParams::default(), &rest, cols)?;
     let mut digest = Digest::new();
     for turn_rad in TURNS_RAD {
