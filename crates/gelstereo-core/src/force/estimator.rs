@@ -47,6 +47,14 @@ const PER_PAIR: f64 = 2.6;
 const PER_TRIPLE: f64 = 2.7;
 /// A search that begins where the last one ended takes one to six rounds.
 const USUAL_ROUNDS: usize = 4;
+/// A pressure of Young's modulus compresses the layer by some tenths; any start serves.
+const START: Variances = Variances { pressure: 0.01, shear: 0.001, noise: 1.0 };
+/// Variance of shears over that of pressures at which a search does not go on from the last one. Without
+/// shear its variance falls to its minimum, and MacKay's fixed point does not leave it: later shear is then
+/// taken for noise. In simulated drags and twists of 18 balls the share of the friction limit in use was then
+/// wrong by 0.29 rms; it is by 0.013 with 1e-5, 1e-3 and 0.1.
+const MIN_SHEAR: f64 = 1e-3;
+
 /// Markers of one frame. All lists are in the order of the rest markers.
 #[derive(Clone, Copy, Debug)]
 pub struct MovedMarkers<'a> {
@@ -228,12 +236,10 @@ impl ForceEstimator {
 
     /// Returns whether the tractions are determined.
     fn solve(&mut self) -> bool {
-        let mut variances = self.variances.unwrap_or(Variances {
-            // A pressure of Young's modulus compresses the layer by some tenths; any start serves.
-            pressure: 0.01,
-            shear: 0.001,
-            noise: 1.0,
-        });
+        let mut variances = match self.variances {
+            Some(last) if last.shear > MIN_SHEAR * last.pressure => last,
+            _ => START,
+        };
         if !self.posterior.fit(&self.equations, &mut variances) {
             return false;
         }
