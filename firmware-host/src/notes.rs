@@ -10,11 +10,15 @@ use gelstereo_core::track::MarkerState;
 /// Note for the topic `/gelstereo/slip`: how the contact slips, and how much of it sticks.
 #[must_use]
 pub fn slip_note(slip: &Slip) -> serde_json::Value {
-    serde_json::json!({
+    let mut note = serde_json::json!({
         "status": slip.status,
         "stick_ratio": slip.stick_ratio,
         "stick_range": slip.stick_range,
-    })
+    });
+    if let Some(margin) = &slip.margin {
+        note["margin"] = serde_json::json!(margin);
+    }
+    note
 }
 
 /// Note for the topic `/gelstereo/frame`: figures and digest of a frame, or the error; with a deadline also

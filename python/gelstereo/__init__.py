@@ -65,6 +65,7 @@ from gelstereo._native import (
     SimulatedLoads,
     Simulator,
     Slip,
+    SlipMargin,
     SlipTracker,
     Surface,
     Symmetry,
@@ -79,6 +80,7 @@ from gelstereo._native import (
     adjusted_gripper,
     disc_bias,
     foresight_sort,
+    friction_margin,
     localize,
     pressure_saliency,
     rest_lattice,
@@ -88,7 +90,16 @@ from gelstereo._native import (
 )
 from gelstereo.inspection import Inspection, inspect
 from gelstereo.simulation import simulate
-from gelstereo.states import MarkerState, MotionKind, MotionSource, MotionStatus, Sight, SlipStatus, Stick
+from gelstereo.states import (
+    MarginSource,
+    MarkerState,
+    MotionKind,
+    MotionSource,
+    MotionStatus,
+    Sight,
+    SlipStatus,
+    Stick,
+)
 
 __all__ = [
     "CameraError",
@@ -113,6 +124,7 @@ __all__ = [
     "LayerSolution",
     "Localization",
     "Localizer",
+    "MarginSource",
     "MarkerState",
     "MarkerTracker",
     "Markers",
@@ -147,6 +159,7 @@ __all__ = [
     "SimulatedLoads",
     "Simulator",
     "Slip",
+    "SlipMargin",
     "SlipStatus",
     "SlipTracker",
     "Stick",
@@ -164,6 +177,7 @@ __all__ = [
     "cameras",
     "disc_bias",
     "foresight_sort",
+    "friction_margin",
     "geometry",
     "grippers",
     "inspect",

@@ -73,6 +73,7 @@ __all__ = [
     "SimulatedLoads",
     "Simulator",
     "Slip",
+    "SlipMargin",
     "SlipTracker",
     "Surface",
     "Symmetry",
@@ -90,11 +91,13 @@ __all__ = [
     "decode_camera_frame",
     "disc_bias",
     "foresight_sort",
+    "friction_margin",
     "fuse_plane",
     "fuse_poses",
     "hid_udev_rule",
     "list_cameras",
     "localize",
+    "margin_sources",
     "marker_states",
     "motion_kinds",
     "motion_sources",
@@ -398,11 +401,22 @@ class Slip:
     @property
     def stick_range(self) -> tuple[float, float]: ...
     @property
+    def margin(self) -> SlipMargin | None: ...
+    @property
     def motion(self) -> _Floats | None: ...
     @property
     def motion_covariance(self) -> _Floats | None: ...
     @property
     def about_mm(self) -> _Floats | None: ...
+
+@final
+class SlipMargin:
+    @property
+    def share(self) -> float: ...
+    @property
+    def range(self) -> tuple[float, float]: ...
+    @property
+    def source(self) -> int: ...
 
 @final
 class SlipTracker:
@@ -1121,6 +1135,14 @@ def recognize_surface(
 def motion_kinds() -> dict[str, int]: ...
 def motion_sources() -> dict[str, int]: ...
 def motion_statuses() -> dict[str, int]: ...
+def margin_sources() -> dict[str, int]: ...
+def friction_margin(
+    rest: RestSurface,
+    wrench: Wrench,
+    traction_kpa: npt.ArrayLike,
+    points_mm: npt.ArrayLike,
+    friction: float,
+) -> SlipMargin | None: ...
 def slip_statuses() -> dict[str, int]: ...
 def marker_states() -> dict[str, int]: ...
 def parse_toml(text: str) -> dict[str, Any]: ...

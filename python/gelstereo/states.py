@@ -85,6 +85,21 @@ class SlipStatus(IntEnum):
     """Too few markers stick to hold the part. It lasts until the part leaves the gel."""
 
 
+class MarginSource(IntEnum):
+    """What a margin to the friction limit follows from, as in `SlipMargin.source`.
+
+    Examples
+    --------
+    >>> MarginSource(1).name
+    'LIMIT'
+    """
+
+    STICK = 0
+    """The stick ratio, by the law of ``slip.shape``."""
+    LIMIT = 1
+    """The wrench and ``force.friction``."""
+
+
 class MotionStatus(IntEnum):
     """How well a motion is known, as in `Motion.status`.
 

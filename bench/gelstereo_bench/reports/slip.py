@@ -26,15 +26,15 @@ from gelstereo import (
 from gelstereo.geometry import se3_exp
 from gelstereo_bench.reports.markdown import replace_between, table
 
-__all__ = ["KINDS", "MOTIONS", "Run", "Step", "follow", "main", "runs"]
+__all__ = ["KINDS", "MOTIONS", "SIDE", "SIGMA_MM", "Run", "Step", "follow", "main", "runs", "touched"]
 
 Array = npt.NDArray[np.float64]
 
 KINDS = ("ball", "peg", "plate")
 MOTIONS = ("drag", "twist", "roll", "press")
 #: Noise of a marker, mm.
-_SIGMA_MM = np.array([0.0015, 0.0015, 0.005])
-_SIDE, _PRESSING, _MOVING = 25, 5, 28
+SIGMA_MM = np.array([0.0015, 0.0015, 0.005])
+SIDE, _PRESSING, _MOVING = 25, 5, 28
 #: Stick ratio of the true contact below which a slip is found late, and below which it is gross.
 _LATE, _GROSS = 0.7, 0.1
 
@@ -46,6 +46,8 @@ class Step:
     points_mm: Array
     stick: npt.NDArray[np.uint8]
     t_sensor_object: Array | None
+    #: (N, 3) true tractions around the markers; None without contact.
+    traction_kpa: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -55,6 +57,8 @@ class Run:
     kind: str
     motion: str
     steps: list[Step]
+    friction: float
+    thickness_mm: float
 
 
 @dataclass(frozen=True)
@@ -90,7 +94,8 @@ def _indenter(kind: str, random: np.random.Generator) -> tuple[dict[str, object]
 def _run(kind: str, motion: str, random: np.random.Generator) -> Run:
     friction = random.uniform(0.2, 1.2) if motion in ("drag", "twist") else random.uniform(1.0, 2.0)
     indenter, reach = _indenter(kind, random)
-    gel = {**Scene().to_dict()["gel"], "thickness_mm": random.uniform(3.0, 5.0)}
+    thickness_mm = random.uniform(3.0, 5.0)
+    gel = {**Scene().to_dict()["gel"], "thickness_mm": thickness_mm}
     scene = Scene().replace(indenter=indenter, gel=gel, effects={"elastic_layer": {"friction": friction}})
     simulator = Simulator(scene)
     up, none = np.array([0.0, 0.0, 1.0]), np.zeros(3)
@@ -104,7 +109,8 @@ def _run(kind: str, motion: str, random: np.random.Generator) -> Run:
         frame = simulator.advance(to, frame=len(steps))
         count = len(frame.points_mm)
         stick = np.zeros(count, np.uint8) if frame.loads is None else frame.loads.stick
-        steps.append(Step(frame.points_mm, stick, to))
+        traction = None if frame.loads is None else frame.loads.traction_kpa
+        steps.append(Step(frame.points_mm, stick, to, traction))
 
     advance(None)
     for share in np.linspace(0.2, 1.0, _PRESSING):
@@ -126,7 +132,7 @@ def _run(kind: str, motion: str, random: np.random.Generator) -> Run:
             move = _about(centre, none, (-0.02 if step < _MOVING // 2 else 0.02) * up)
         pose = move @ pose
         advance(pose)
-    return Run(kind, motion, steps)
+    return Run(kind, motion, steps, friction, thickness_mm)
 
 
 def runs(count: int, seed: int) -> Iterator[Run]:
@@ -138,20 +144,27 @@ def runs(count: int, seed: int) -> Iterator[Run]:
         yield _run(kind, "press" if (kind, motion) == ("plate", "roll") else motion, random)
 
 
+def touched(step: Step, rest: RestSurface, points_mm: Array | None) -> npt.NDArray[np.bool_]:
+    """Markers in contact: the true ones, or those found from the heights of these points."""
+    if points_mm is None:
+        return step.stick != Stick.FREE
+    decay_mm = Params().to_dict()["contact"]["decay_mm"]
+    variance = np.full(len(points_mm), SIGMA_MM[2] ** 2)
+    heights = rest.indentation_mm(points_mm)
+    patch, _ = pressure_saliency(rest, heights, variance, rows=SIDE, cols=SIDE, decay_mm=decay_mm)
+    return patch
+
+
 def follow(run: Run, random: np.random.Generator, *, patch_is_known: bool) -> list[Seen]:
     """Find the slip of every frame with contact, from markers with noise."""
     rest_mm = run.steps[0].points_mm
     rest, count = RestSurface(rest_mm), len(rest_mm)
-    tracker = SlipTracker(rest, Params().replace(slip={"method": "rigid"}), cols=_SIDE)
-    covariance = np.tile(np.diag(_SIGMA_MM**2), (count, 1, 1))
-    variance, decay_mm = np.full(count, _SIGMA_MM[2] ** 2), Params().to_dict()["contact"]["decay_mm"]
+    tracker = SlipTracker(rest, Params().replace(slip={"method": "rigid"}), cols=SIDE)
+    covariance = np.tile(np.diag(SIGMA_MM**2), (count, 1, 1))
     seen, first = [], None
     for step in run.steps:
-        points = step.points_mm + _SIGMA_MM * random.normal(size=rest_mm.shape)
-        patch = step.stick != Stick.FREE
-        if not patch_is_known:
-            heights = rest.indentation_mm(points)
-            patch, _ = pressure_saliency(rest, heights, variance, rows=_SIDE, cols=_SIDE, decay_mm=decay_mm)
+        points = step.points_mm + SIGMA_MM * random.normal(size=rest_mm.shape)
+        patch = touched(step, rest, None if patch_is_known else points)
         _, slip = tracker.run(points, covariance, patch.tolist())
         touching = int(np.sum(step.stick != Stick.FREE))
         if slip is None or not touching or step.t_sensor_object is None:

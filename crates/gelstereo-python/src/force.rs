@@ -20,6 +20,10 @@ impl Wrench {
     pub const fn from_core(inner: core::Wrench) -> Self {
         Self { inner }
     }
+
+    pub const fn core(&self) -> &core::Wrench {
+        &self.inner
+    }
 }
 
 #[pymethods]

@@ -109,7 +109,9 @@ mod _native {
         sights,
     };
     #[pymodule_export]
-    use crate::slip::{Slip, SlipTracker, slip_statuses, sticks};
+    use crate::slip::{
+        Slip, SlipMargin, SlipTracker, friction_margin, margin_sources, slip_statuses, sticks,
+    };
     #[pymodule_export]
     use crate::surface::DenseSurface;
     #[pymodule_export]

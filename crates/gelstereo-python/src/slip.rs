@@ -3,6 +3,7 @@
 use crate::arrays::{self, Array1, Count, Matrix, Numbers};
 use crate::contact::RestSurface;
 use crate::errors::raise;
+use crate::force::Wrench;
 use crate::params::Params;
 use gelstereo_core::force::MovedMarkers;
 use gelstereo_core::math::DVec3;
@@ -21,6 +22,94 @@ pub fn sticks() -> std::collections::BTreeMap<&'static str, u8> {
 #[pyfunction]
 pub fn slip_statuses() -> std::collections::BTreeMap<&'static str, u8> {
     core::SlipStatus::ALL.map(|(name, status)| (name, status as u8)).into()
+}
+
+/// Names and values of what a margin follows from, repeated in `gelstereo.MarginSource` for typing.
+#[pyfunction]
+pub fn margin_sources() -> std::collections::BTreeMap<&'static str, u8> {
+    core::MarginSource::ALL.map(|(name, source)| (name, source as u8)).into()
+}
+
+/// Share of the friction limit that is not used: 1 without tangential load, and 0 where the part slides.
+#[pyclass(frozen, module = "gelstereo")]
+pub struct SlipMargin {
+    inner: core::Margin,
+}
+
+#[pymethods]
+impl SlipMargin {
+    /// The share, or the middle of its range where it follows from the stick ratio.
+    #[getter]
+    const fn share(&self) -> f64 {
+        self.inner.share
+    }
+
+    /// Its range: of the stick range and of the law for thick and thin gels, or 95 % by the covariance of the
+    /// wrench.
+    #[getter]
+    const fn range(&self) -> (f64, f64) {
+        let [least, most] = self.inner.range;
+        (least, most)
+    }
+
+    /// What it follows from: value of `MarginSource`.
+    #[getter]
+    const fn source(&self) -> u8 {
+        self.inner.source as u8
+    }
+
+    fn __repr__(&self) -> String {
+        let core::Margin { share, range: [least, most], source } = self.inner;
+        let name = core::MarginSource::ALL.iter().find(|(_, s)| *s == source).map_or("", |(name, _)| name);
+        format!("<SlipMargin: {share:.2} between {least:.2} and {most:.2}, by {name}>")
+    }
+}
+
+/// Margin of a contact by its friction limit, as a `Pipeline` with ``force.friction`` states it.
+///
+/// Force Q along the gel and torque M about its normal share the limit as an ellipse (Howe and Cutkosky
+/// 1996): the share in use is sqrt(Q² + (M/r)²) / (friction · P), where r is the mean distance of the
+/// pressure from its centre.
+///
+/// Parameters
+/// ----------
+/// rest : RestSurface
+/// wrench : Wrench
+/// traction_kpa : (N, 3) array_like
+///     Around each marker, as in `Frame.traction_kpa`.
+/// points_mm : (N, 3) array_like
+///     Markers in the sensor frame.
+/// friction : float
+///     Coulomb's coefficient.
+///
+/// Returns
+/// -------
+/// SlipMargin or None
+///     None if the wrench is cut by the lattice's border, the part is not pressed by more than noise, the
+///     coefficient is not above 0, or fewer than three markers have pressure.
+///
+/// Raises
+/// ------
+/// ContactError
+///     If a list has another length than the rest markers.
+#[pyfunction]
+pub fn friction_margin(
+    rest: &RestSurface,
+    wrench: &Wrench,
+    traction_kpa: &Bound<'_, PyAny>,
+    points_mm: &Bound<'_, PyAny>,
+    friction: f64,
+) -> PyResult<Option<SlipMargin>> {
+    let (tractions, points) =
+        (Numbers::new(traction_kpa, "traction_kpa")?, Numbers::new(points_mm, "points_mm")?);
+    let (traction_kpa, points_mm) = (tractions.rows::<DVec3, 3>()?, points.rows::<DVec3, 3>()?);
+    let markers = rest.core().points_mm().len();
+    if let Some(&found) = [traction_kpa.len(), points_mm.len()].iter().find(|&&found| found != markers) {
+        return Err(raise(core::SlipError::Lengths { rest: markers, found }));
+    }
+    let (wrench, normal) = (wrench.core(), rest.core().normal());
+    let loads = core::Loads { wrench, traction_kpa, points_mm, normal, friction };
+    Ok(core::Margin::of_limit(&loads).map(|inner| SlipMargin { inner }))
 }
 
 /// Slip of a contact in one frame.
@@ -75,6 +164,14 @@ impl Slip {
     #[getter]
     fn about_mm(&self, py: Python<'_>) -> Option<Array1<f64>> {
         self.inner.motion.map(|motion| arrays::list(py, motion.about_mm.to_array().to_vec()))
+    }
+
+    /// Share of the friction limit that is not used: by the wrench with ``force.friction``, or else by the
+    /// stick ratio with ``slip.shape``. `None` without these, and by the stick ratio for ``UNKNOWN`` and
+    /// ``GROSS``.
+    #[getter]
+    fn margin(&self) -> Option<SlipMargin> {
+        self.inner.margin.map(|inner| SlipMargin { inner })
     }
 
     fn __repr__(&self) -> String {

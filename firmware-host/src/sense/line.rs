@@ -7,7 +7,7 @@ use gelstereo_core::force::Wrench;
 use gelstereo_core::math::sqrt;
 use gelstereo_core::pipeline::Frame;
 use gelstereo_core::register::{Registration, TrackingStatus};
-use gelstereo_core::slip::{Slip, SlipStatus};
+use gelstereo_core::slip::{Margin, Slip, SlipStatus};
 use serde::{Deserialize, Serialize};
 
 /// All results of one stereo pair.
@@ -86,6 +86,9 @@ pub struct SlipLine {
     /// Motion of the part since it touched the gel, sensor frame; absent if too few markers stick.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub motion: Option<[[f64; 4]; 4]>,
+    /// Share of the friction limit that is not used; absent if it is not known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub margin: Option<Margin>,
 }
 
 impl From<&Slip> for SlipLine {
@@ -95,6 +98,7 @@ impl From<&Slip> for SlipLine {
             stick_ratio: slip.stick_ratio,
             stick_range: slip.stick_range,
             motion: slip.motion.map(|motion| motion.pose.to_rows()),
+            margin: slip.margin,
         }
     }
 }

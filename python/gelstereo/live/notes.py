@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from gelstereo import Error, Localization, MarkerState, Params, Rig, Slip, SlipStatus
+from gelstereo import Error, Localization, MarginSource, MarkerState, Params, Rig, Slip, SlipStatus
 from gelstereo.live.sensing import LiveResult
 from gelstereo.live.source import LiveFrame
 
@@ -87,11 +87,18 @@ def pose_note(located: Localization) -> dict[str, Any]:
 
 def slip_note(slip: Slip) -> dict[str, Any]:
     """The host's message about slip on ``/gelstereo/slip``."""
-    return {
+    note: dict[str, Any] = {
         "status": SlipStatus(slip.status).name.lower(),
         "stick_ratio": slip.stick_ratio,
         "stick_range": list(slip.stick_range),
     }
+    if (margin := slip.margin) is not None:
+        note["margin"] = {
+            "share": margin.share,
+            "range": list(margin.range),
+            "source": MarginSource(margin.source).name.lower(),
+        }
+    return note
 
 
 def capture_note(frame: LiveFrame) -> dict[str, Any]:

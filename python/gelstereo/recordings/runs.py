@@ -102,6 +102,7 @@ class Recording:
             - ``slip``: ``unknown``, ``stuck``, ``incipient`` or ``gross``; empty without contact or without
               ``slip.method``
             - ``stick_ratio``: markers that stick over those known to stick or slip
+            - ``slip_margin``: share of the friction limit that is not used; NaN where it is not known
             - ``gripper_width_mm``: the latest opening width
         """
         frames = self._sensed
@@ -142,11 +143,13 @@ class Recording:
         wrench = np.array([frame.wrench for frame in self._sensed])
         names = ["fx_n", "fy_n", "fz_n", "tx_nmm", "ty_nmm", "tz_nmm"]
         ratios = [frame.slip.get("stick_ratio") for frame in self._sensed]
+        margins = [(frame.slip.get("margin") or {}).get("share", np.nan) for frame in self._sensed]
         return dict(zip(names, wrench.T, strict=True)) | {
             "slip": np.array([frame.slip.get("status", "") for frame in self._sensed]),
             "stick_ratio": np.array(
                 [np.nan if ratio is None else ratio for ratio in ratios], dtype=np.float64
             ),
+            "slip_margin": np.array(margins, dtype=np.float64),
         }
 
     def marker_table(self) -> Table:

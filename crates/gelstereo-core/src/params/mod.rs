@@ -31,7 +31,7 @@ pub use register::{
 };
 pub use renamed::{former, renamed_setting, replaced_method};
 pub use roi::{Region, RoiParams};
-pub use slip::{SlipMethod, SlipParams};
+pub use slip::{SlipMethod, SlipParams, SlipShape};
 pub use track::{Motion, TrackParams};
 pub use triangulate::{DiscBias, TriangulateMethod, TriangulateParams};
 

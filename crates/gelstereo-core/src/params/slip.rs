@@ -16,6 +16,19 @@ pub enum SlipMethod {
     Rigid,
 }
 
+/// Shape of the part where it touches the gel, which relates the stick ratio to the load.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "snake_case"))]
+pub enum SlipShape {
+    /// Not known, or with flat faces and edges, where nothing slips before the limit is near.
+    #[default]
+    Unknown,
+    /// Round in all directions.
+    Ball,
+    /// Round across a line, and longer than the contact is wide.
+    Cylinder,
+}
+
 /// Slip of the part along the gel, from the motion of the markers in contact.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(
@@ -32,11 +45,19 @@ pub struct SlipParams {
     /// Rate of the frames, from which the probability of a false alarm in one frame follows. Valid: 0.001 to
     /// 100000 Hz. Default: `30` Hz. Change it to the camera's.
     pub frame_rate_hz: f64,
+    /// Shape of the part where it touches the gel, for the margin from the stick ratio. Default: `unknown`,
+    /// without such a margin. Set it for round parts whose friction or forces are not known.
+    pub shape: SlipShape,
 }
 
 impl Default for SlipParams {
     fn default() -> Self {
-        Self { method: SlipMethod::None, false_alarms_per_hour: 1.0, frame_rate_hz: 30.0 }
+        Self {
+            method: SlipMethod::None,
+            false_alarms_per_hour: 1.0,
+            frame_rate_hz: 30.0,
+            shape: SlipShape::Unknown,
+        }
     }
 }
 

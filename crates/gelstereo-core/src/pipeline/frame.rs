@@ -157,7 +157,8 @@ impl Frame {
         let Some(slip) = &self.slip else { return digest.value() };
         let digest = self.stick.iter().fold(digest, |d, &stick| d.bytes(&[stick as u8]));
         let poses = slip.motion.iter().flat_map(|motion| motion.pose.to_rows()).flatten();
-        digest.bytes(&[slip.status as u8]).f64s(slip.stick_range).f64s(poses).value()
+        let margin = slip.margin.iter().flat_map(|m| [m.share, m.range[0], m.range[1]]);
+        digest.bytes(&[slip.status as u8]).f64s(slip.stick_range).f64s(poses).f64s(margin).value()
     }
 
     /// Points of the contact patch in the order of the markers (sensor frame, millimetres); `out` is

@@ -8,10 +8,12 @@
 
 mod error;
 mod fit;
+mod margin;
 mod stick;
 mod tracker;
 
 pub use error::SlipError;
 pub use fit::RigidMotion;
+pub use margin::{Loads, Margin, MarginSource};
 pub use stick::{Slip, SlipStatus, Stick};
 pub use tracker::SlipTracker;

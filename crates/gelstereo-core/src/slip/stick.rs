@@ -1,6 +1,7 @@
 //! Whether the gel moves with the part.
 
 use super::fit::RigidMotion;
+use super::margin::Margin;
 
 /// Whether the gel around a marker moves with the part.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -65,4 +66,8 @@ pub struct Slip {
     pub stick_range: [f64; 2],
     /// Motion of the part since it touched the gel, or since three markers stick again; `None` if fewer do.
     pub motion: Option<RigidMotion>,
+    /// Share of the friction limit that is not used: by the wrench with `force.friction`, or else by the
+    /// stick ratio with `slip.shape`. `None` without these, and by the stick ratio for `Unknown` and `Gross`.
+    #[cfg_attr(feature = "serde", serde(default))]
+    pub margin: Option<Margin>,
 }

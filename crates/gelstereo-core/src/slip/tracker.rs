@@ -2,6 +2,7 @@
 
 use super::error::SlipError;
 use super::fit::{Pair, RigidMotion, columns, rigid};
+use super::margin::Margin;
 use super::stick::{Slip, SlipStatus, Stick};
 use crate::contact::RestSurface;
 use crate::force::MovedMarkers;
@@ -228,7 +229,9 @@ impl SlipTracker {
             Some(_) if slips > 0 => SlipStatus::Incipient,
             Some(_) => SlipStatus::Stuck,
         };
-        Slip { status, stick_ratio: ratio, stick_range, motion }
+        let is_held = matches!(status, SlipStatus::Stuck | SlipStatus::Incipient);
+        let margin = if is_held { Margin::of_stick(self.params.shape, stick_range) } else { None };
+        Slip { status, stick_ratio: ratio, stick_range, motion, margin }
     }
 
     /// Whether a neighbour in the row or column is outside the patch.
