@@ -136,7 +136,9 @@ def _row(name: str, pairs: list[tuple[Run, list[Seen]]]) -> list[str]:
 def turns(radius_mm: float, *, seed: int, steps: int = 120) -> list[Seen]:
     """A lying cylinder that rolls once around, from markers with noise in the true contact."""
     peg = {"kind": "cylinder", "radius_mm": radius_mm, "length_mm": 30.0}
-    scene = Scene().replace(indenter=peg, effects={"elastic_layer": {"friction": 1.5}})
+    friction = 1.5
+    scene = Scene().replace(indenter=peg, effects={"elastic_layer": {"friction": friction}})
+    thickness_mm = scene.to_dict()["gel"]["thickness_mm"]
     simulator = Simulator(scene)
     pose = np.eye(4)
     pose[:3, :3] = [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]
@@ -152,7 +154,8 @@ def turns(radius_mm: float, *, seed: int, steps: int = 120) -> list[Seen]:
         line[:3, 3] = pose[:3, 3] - [0.0, 0.0, radius_mm]
         turn = se3_exp(np.array([0.0, 2.0 * np.pi / steps, 0.0, 0.0, 0.0, 0.0]))
         pose = np.asarray(line @ turn @ np.linalg.inv(line) @ pose)
-    return follow(Run("peg", "roll", made), np.random.default_rng(seed), patch_is_known=True)
+    run = Run("peg", "roll", made, friction, thickness_mm)
+    return follow(run, np.random.default_rng(seed), patch_is_known=True)
 
 
 def _turn_row(radius_mm: float, count: int) -> list[str]:

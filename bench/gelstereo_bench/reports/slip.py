@@ -147,7 +147,7 @@ def runs(count: int, seed: int) -> Iterator[Run]:
 def touched(step: Step, rest: RestSurface, points_mm: Array | None) -> npt.NDArray[np.bool_]:
     """Markers in contact: the true ones, or those found from the heights of these points."""
     if points_mm is None:
-        return step.stick != Stick.FREE
+        return np.asarray(step.stick != Stick.FREE)
     decay_mm = Params().to_dict()["contact"]["decay_mm"]
     variance = np.full(len(points_mm), SIGMA_MM[2] ** 2)
     heights = rest.indentation_mm(points_mm)
