@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gelstereo import Params, RestSurface, SlipStatus, SlipTracker, pressure_saliency
 from gelstereo.recordings import (
     CloudRecording,
     RecordingError,
@@ -159,6 +160,39 @@ def test_both_fingers_of_a_grasp_touch_in_every_frame(sensor: str) -> None:
     assert grasp.pitch_mm == pytest.approx(1.09, abs=0.02)
     assert episodes(grasp.indentation_mm(), SALIENCY_MM) == [range(len(grasp))]
     assert all(len(found) >= 1 for found in touching(grasp))
+
+
+def slip_statuses(sharpened: Sharpened, frames: range, strain_sigma_mm: float) -> list[SlipStatus]:
+    """Slip of the frames with contact, with the noise of the rest frames; the patch is found from heights."""
+    recording = sharpened.sharp
+    rest, count = RestSurface(recording.rest_mm), len(recording.rest_mm)
+    params = Params().replace(slip={"method": "rigid", "strain_sigma_mm": strain_sigma_mm})
+    tracker = SlipTracker(rest, params, cols=recording.cols)
+    # Sharpening raises the noise to 1.4 times.
+    sigma_mm = np.sqrt(2.0) * np.asarray(sharpened.noise_mm)
+    covariance, variance = np.tile(np.diag(sigma_mm**2), (count, 1, 1)), np.full(count, sigma_mm[2] ** 2)
+    decay_mm = params.to_dict()["contact"]["decay_mm"]
+    found = []
+    for points in recording.points_mm[frames.start : frames.stop]:
+        heights = rest.indentation_mm(points)
+        patch, _ = pressure_saliency(rest, heights, variance, rows=20, cols=20, decay_mm=decay_mm)
+        _, slip = tracker.run(points, covariance, patch.tolist())
+        if slip is not None:
+            found.append(SlipStatus(slip.status))
+    return found
+
+
+@needs_wheel
+def test_a_rolling_cylinder_is_no_gross_slip(sharpened: Sharpened) -> None:
+    """Nor is a face that is pressed. The sensor needs `slip.strain_sigma_mm`: noise at rest does not tell how
+    far markers are from rigid motion, and by it alone both are gross slips.
+    """
+    for frames in (range(100, 140), range(165, 216)):
+        by_noise = slip_statuses(sharpened, frames, 0.0)
+        assert len(by_noise) > 30 and by_noise.count(SlipStatus.GROSS) > 0.8 * len(by_noise)
+        found = slip_statuses(sharpened, frames, 0.03)
+        assert SlipStatus.GROSS not in found
+        assert found.count(SlipStatus.STUCK) > 0.7 * len(found)
 
 
 @needs_wheel

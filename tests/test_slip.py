@@ -149,6 +149,8 @@ def test_settings_and_lists_are_checked() -> None:
         gs.SlipTracker(rest, RIGID, cols=7)
     with pytest.raises(gs.ParamsError, match=r"slip\.frame_rate_hz"):
         RIGID.replace(slip={"method": "rigid", "frame_rate_hz": 0.0})
+    with pytest.raises(gs.ParamsError, match=r"slip\.strain_sigma_mm"):
+        RIGID.replace(slip={"method": "rigid", "strain_sigma_mm": -0.01})
     tracker = gs.SlipTracker(rest, RIGID, cols=SIDE)
     assert repr(tracker) == "<SlipTracker: 81 markers>"
     with pytest.raises(gs.ContactError, match="a list has 80 entries"):

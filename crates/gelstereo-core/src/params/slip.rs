@@ -45,6 +45,10 @@ pub struct SlipParams {
     /// Rate of the frames, from which the probability of a false alarm in one frame follows. Valid: 0.001 to
     /// 100000 Hz. Default: `30` Hz. Change it to the camera's.
     pub frame_rate_hz: f64,
+    /// Standard deviation per axis of a marker from the rigid motion of a part that sticks, apart from its
+    /// noise: gel between skin and marker strains, and a recorder may smooth over time. Valid: 0 to 1 mm.
+    /// Default: `0` mm, for the simulator's gels. Raise it until parts that stick are not reported to slip.
+    pub strain_sigma_mm: f64,
     /// Shape of the part where it touches the gel, for the margin from the stick ratio. Default: `unknown`,
     /// without such a margin. Set it for round parts whose friction or forces are not known.
     pub shape: SlipShape,
@@ -56,6 +60,7 @@ impl Default for SlipParams {
             method: SlipMethod::None,
             false_alarms_per_hour: 1.0,
             frame_rate_hz: 30.0,
+            strain_sigma_mm: 0.0,
             shape: SlipShape::Unknown,
         }
     }
@@ -70,7 +75,9 @@ impl SlipParams {
         let (alarms, rate_hz) = (self.false_alarms_per_hour, self.frame_rate_hz);
         let valid = "0.000001 to 3600 per hour";
         check((1e-6..=3600.0).contains(&alarms), "slip.false_alarms_per_hour", alarms, valid)?;
-        check((1e-3..=1e5).contains(&rate_hz), "slip.frame_rate_hz", rate_hz, "0.001 to 100000 Hz")
+        check((1e-3..=1e5).contains(&rate_hz), "slip.frame_rate_hz", rate_hz, "0.001 to 100000 Hz")?;
+        let sigma_mm = self.strain_sigma_mm;
+        check((0.0..=1.0).contains(&sigma_mm), "slip.strain_sigma_mm", sigma_mm, "0 to 1 mm")
     }
 
     /// Squared distance, in variances of two components, that one of `tests` in each frame exceeds by noise

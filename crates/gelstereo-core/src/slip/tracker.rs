@@ -137,7 +137,7 @@ impl SlipTracker {
             if !anchor.is_set || anchor.slips || !is_usable(moved, i) {
                 continue;
             }
-            let covariance = sum(&moved.covariance_mm2[i], &turned(&turn, &anchor.covariance_mm2));
+            let covariance = self.noise(&moved.covariance_mm2[i], &turned(&turn, &anchor.covariance_mm2));
             if let Some(factor) = Factor::new(&covariance) {
                 let (anchor_mm, point_mm) = (anchor.part_mm, moved.points_mm[i]);
                 self.pairs.push(Pair { anchor_mm, point_mm, factor });
@@ -174,7 +174,7 @@ impl SlipTracker {
         let Some(motion) = motion else { return Stick::Unknown };
         let turn = self.pose.matrix();
         let at_mm = self.pose.transform_point(anchor.part_mm);
-        let mut noise = sum(covariance, &turned(&turn, &anchor.covariance_mm2));
+        let mut noise = self.noise(covariance, &turned(&turn, &anchor.covariance_mm2));
         if anchor.slips {
             // The others were used by the fit, which makes their residuals smaller.
             noise = sum(&noise, &of_motion(motion, at_mm));
@@ -190,6 +190,14 @@ impl SlipTracker {
             self.anchors[i] = anchor;
         }
         if anchor.slips { Stick::Slips } else { Stick::Stuck }
+    }
+
+    /// Covariance of a marker's distance from where its anchor has moved.
+    fn noise(&self, now: &Symmetric<3>, anchor: &Symmetric<3>) -> Symmetric<3> {
+        let mut noise = sum(now, anchor);
+        let strain_sigma_mm = self.params.strain_sigma_mm;
+        noise.iter_mut().enumerate().for_each(|(i, row)| row[i] += strain_sigma_mm * strain_sigma_mm);
+        noise
     }
 
     fn anchored(&self, point_mm: DVec3, covariance: &Symmetric<3>, slips: bool) -> Anchor {
