@@ -139,7 +139,7 @@ def test_frames_of_a_pipeline_are_followed() -> None:
     assert motion is not None and motion.status == MotionStatus.TRACKED and motion.kind == MotionKind.RESTS
     _, mm, squared = error(motion, about(np.zeros(3), np.zeros(3), np.array([0.14, 0.0, 0.0])))
     assert mm < 0.01 and squared < 4.0
-    assert repr(motion) == f"<Motion: TRACKED, RESTS, keyframe 0, {motion.stuck} markers stick>"
+    assert repr(motion) == f"<PartMotion: TRACKED, RESTS, keyframe 0, {motion.stuck} markers stick>"
     assert motion.slip.status == gs.SlipStatus.STUCK and motion.contact == 0
     tracker.restart()
     again = tracker.process(pipeline.process(frame.left, frame.right))

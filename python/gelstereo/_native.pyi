@@ -45,10 +45,10 @@ __all__ = [
     "MarkerTracker",
     "Markers",
     "MeshError",
-    "Motion",
     "MotionTracker",
     "Params",
     "ParamsError",
+    "PartMotion",
     "Pipeline",
     "PitchCheck",
     "PitchWarning",
@@ -427,7 +427,7 @@ class SlipTracker:
     ) -> tuple[npt.NDArray[np.uint8], Slip | None]: ...
 
 @final
-class Motion:
+class PartMotion:
     @property
     def status(self) -> int: ...
     @property
@@ -497,10 +497,10 @@ class MotionTracker:
     def __new__(cls, rest: RestSurface, params: Params, *, cols: int) -> MotionTracker: ...
     def restart(self) -> None: ...
     def surface(self) -> tuple[_Floats, _Floats, _Floats]: ...
-    def process(self, frame: Frame) -> Motion | None: ...
+    def process(self, frame: Frame) -> PartMotion | None: ...
     def run(
         self, points_mm: npt.ArrayLike, covariance_mm2: npt.ArrayLike, patch: Sequence[bool]
-    ) -> Motion | None: ...
+    ) -> PartMotion | None: ...
 
 def pressure_saliency(
     rest: RestSurface,

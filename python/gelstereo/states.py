@@ -101,7 +101,7 @@ class MarginSource(IntEnum):
 
 
 class MotionStatus(IntEnum):
-    """How well a motion is known, as in `Motion.status`.
+    """How well a motion is known, as in `PartMotion.status`.
 
     Examples
     --------
@@ -122,7 +122,7 @@ class MotionStatus(IntEnum):
 
 
 class MotionSource(IntEnum):
-    """What a motion is found from, as in `Motion.source`.
+    """What a motion is found from, as in `PartMotion.source`.
 
     Examples
     --------
@@ -141,7 +141,7 @@ class MotionSource(IntEnum):
 
 
 class MotionKind(IntEnum):
-    """How a part moves along the gel, as in `Motion.kind`.
+    """How a part moves along the gel, as in `PartMotion.kind`.
 
     Examples
     --------

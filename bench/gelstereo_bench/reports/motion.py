@@ -14,11 +14,11 @@ import numpy as np
 import numpy.typing as npt
 
 from gelstereo import (
-    Motion,
     MotionKind,
     MotionStatus,
     MotionTracker,
     Params,
+    PartMotion,
     RestSurface,
     Scene,
     Simulator,
@@ -48,7 +48,7 @@ class Seen:
 
     truth: float
     t_sensor_object: Array
-    motion: Motion
+    motion: PartMotion
     seconds: float
 
 

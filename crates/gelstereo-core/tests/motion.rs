@@ -7,7 +7,7 @@ use gelstereo_core::force::MovedMarkers;
 use gelstereo_core::math::linalg::Symmetric;
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::math::{DMat3, DVec2, DVec3, Pose};
-use gelstereo_core::motion::{Motion, MotionKind, MotionSource, MotionStatus, MotionTracker};
+use gelstereo_core::motion::{MotionKind, MotionSource, MotionStatus, MotionTracker, PartMotion};
 use gelstereo_core::params::{MotionParams, SlipParams};
 use gelstereo_core::slip::{RigidMotion, SlipError, SlipStatus};
 use gelstereo_core::track::MarkerState;
@@ -84,7 +84,7 @@ impl Gel {
         self.points_mm[i] = self.frame.transform_point(point_mm + noise);
     }
 
-    fn run(&self, tracker: &mut MotionTracker) -> Option<Motion> {
+    fn run(&self, tracker: &mut MotionTracker) -> Option<PartMotion> {
         let Self { points_mm, covariance_mm2, state, patch, .. } = self;
         tracker.run(&MovedMarkers { points_mm, covariance_mm2, state, patch }).unwrap()
     }
@@ -332,13 +332,13 @@ fn a_part_that_is_not_seen_is_where_it_was_with_a_larger_variance() {
         gel.run(&mut tracker).unwrap();
     }
     gel.state.fill(MarkerState::Held);
-    let unseen: Vec<Motion> = (0..2).map(|_| gel.run(&mut tracker).unwrap()).collect();
+    let unseen: Vec<PartMotion> = (0..2).map(|_| gel.run(&mut tracker).unwrap()).collect();
     for motion in &unseen {
         assert_eq!((motion.status, motion.source), (MotionStatus::Predicted, MotionSource::Nothing));
         let moved = motion.since_touch.pose.transform_point(DVec3::Z * Z_MM);
         assert!((moved - DVec3::new(0.06, 0.0, Z_MM)).length() < 0.02);
     }
-    let variance = |motion: &Motion| motion.since_touch.covariance[3][3];
+    let variance = |motion: &PartMotion| motion.since_touch.covariance[3][3];
     assert!(variance(&unseen[0]) > 0.08 && variance(&unseen[1]) > 1.9 * variance(&unseen[0]));
     // Without contact, the next touch is another contact.
     gel.patch.fill(false);

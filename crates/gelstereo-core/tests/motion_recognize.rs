@@ -109,7 +109,7 @@ fn contacts_are_found_where_they_are() {
     assert!(found >= 37 && (3.0..7.5).contains(&squares), "{found} {squares}");
 }
 
-/// Between two periods, both are as likely; one is told of, and the other.
+/// Half way between two periods both poses are equally likely: one is returned, and the other with it.
 #[test]
 fn a_surface_that_repeats_is_ambiguous() {
     let known = square(waves, DVec2::ZERO, 7.0, 0.3, 1);

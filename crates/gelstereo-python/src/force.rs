@@ -3,10 +3,10 @@
 use crate::arrays::{self, Array1, Count, Matrix, Numbers};
 use crate::contact::RestSurface;
 use crate::errors::raise;
+use crate::moved::GivenMarkers;
 use crate::params::Params;
 use gelstereo_core::force as core;
 use gelstereo_core::math::DVec3;
-use gelstereo_core::track::MarkerState;
 use pyo3::prelude::*;
 use std::sync::{Mutex, PoisonError};
 
@@ -172,15 +172,10 @@ impl ForceEstimator {
         covariance_mm2: &Bound<'_, PyAny>,
         patch: Vec<bool>,
     ) -> PyResult<(Matrix, Option<Wrench>)> {
-        let (points, covariances) =
-            (Numbers::new(points_mm, "points_mm")?, Numbers::new(covariance_mm2, "covariance_mm2")?);
-        let (points_mm, covariance_mm2) = (points.rows::<DVec3, 3>()?, covariances.matrices()?);
-        let seen = |point: &DVec3| if point.is_finite() { MarkerState::Seen } else { MarkerState::Lost };
-        let state: Vec<MarkerState> = points_mm.iter().map(seen).collect();
-        let moved = core::MovedMarkers { points_mm, covariance_mm2, state: &state, patch: &patch };
+        let markers = GivenMarkers::new(points_mm, covariance_mm2, patch)?;
         let mut traction_kpa = Vec::new();
         let mut inner = self.inner.lock().unwrap_or_else(PoisonError::into_inner);
-        let wrench = inner.run(&moved, &mut traction_kpa).map_err(raise)?;
+        let wrench = inner.run(&markers.moved()?, &mut traction_kpa).map_err(raise)?;
         Ok((arrays::rows::<_, 3>(py, traction_kpa)?, wrench.map(Wrench::from_core)))
     }
 }

@@ -24,6 +24,8 @@ mod layer;
 mod localizer;
 mod marker_tracker;
 mod motion;
+mod moved;
+mod names;
 mod notebook;
 mod params;
 mod pickle;
@@ -86,7 +88,7 @@ mod _native {
     use crate::marker_tracker::{MarkerTracker, TrackedMarkers, pair_views};
     #[pymodule_export]
     use crate::motion::{
-        Motion, MotionTracker, Recognition, motion_kinds, motion_sources, motion_statuses,
+        MotionTracker, PartMotion, Recognition, motion_kinds, motion_sources, motion_statuses,
         recognition_statuses, recognize_surface,
     };
     #[pymodule_export]

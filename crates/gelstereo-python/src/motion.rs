@@ -4,12 +4,13 @@ use crate::arrays::{self, Array1, Count, Matrix, Numbers};
 use crate::contact::RestSurface;
 use crate::errors::raise;
 use crate::frame::Frame;
+use crate::moved::GivenMarkers;
+use crate::names::name;
 use crate::params::Params;
 use crate::slip::Slip;
 use gelstereo_core::force::MovedMarkers;
 use gelstereo_core::math::DVec3;
 use gelstereo_core::motion as core;
-use gelstereo_core::track::MarkerState;
 use pyo3::prelude::*;
 use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
@@ -34,12 +35,12 @@ pub fn motion_kinds() -> BTreeMap<&'static str, u8> {
 
 /// Motion of a part in one frame of a contact. The part's frame is the sensor frame at first touch.
 #[pyclass(frozen, module = "gelstereo")]
-pub struct Motion {
-    inner: core::Motion,
+pub struct PartMotion {
+    inner: core::PartMotion,
 }
 
 #[pymethods]
-impl Motion {
+impl PartMotion {
     /// How well the motion is known: value of `MotionStatus`.
     #[getter]
     const fn status(&self) -> u8 {
@@ -176,11 +177,8 @@ impl Motion {
     }
 
     fn __repr__(&self) -> String {
-        fn name<T: Copy + PartialEq>(all: &[(&'static str, T)], value: T) -> &'static str {
-            all.iter().find(|(_, other)| *other == value).map_or("", |(name, _)| name)
-        }
         format!(
-            "<Motion: {}, {}, keyframe {}, {} markers stick>",
+            "<PartMotion: {}, {}, keyframe {}, {} markers stick>",
             name(&core::MotionStatus::ALL, self.inner.status),
             name(&core::MotionKind::ALL, self.inner.kind),
             self.inner.keyframe,
@@ -247,8 +245,7 @@ impl Recognition {
     }
 
     fn __repr__(&self) -> String {
-        let all = core::RecognitionStatus::ALL;
-        let name = all.iter().find(|(_, status)| *status == self.inner.status).map_or("", |(name, _)| name);
+        let name = name(&core::RecognitionStatus::ALL, self.inner.status);
         let (matched, square) = (self.inner.matched, self.inner.mean_square);
         format!("<Recognition: {name}, {matched} points match, mean square {square:.2}>")
     }
@@ -319,9 +316,9 @@ impl MotionTracker {
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn moved(&self, moved: &MovedMarkers<'_>) -> PyResult<Option<Motion>> {
+    fn moved(&self, moved: &MovedMarkers<'_>) -> PyResult<Option<PartMotion>> {
         let motion = self.inner().run(moved).map_err(raise)?;
-        Ok(motion.map(|inner| Motion { inner }))
+        Ok(motion.map(|inner| PartMotion { inner }))
     }
 }
 
@@ -360,7 +357,7 @@ impl MotionTracker {
         Ok((
             arrays::rows::<_, 3>(py, found.iter().map(|p| p.point_mm).collect())?,
             arrays::rows::<_, 3>(py, found.iter().map(|p| p.normal).collect())?,
-            arrays::list(py, found.iter().map(|p| p.variance_mm2.max(0.0).sqrt()).collect()),
+            arrays::list(py, found.iter().map(|p| p.variance_mm2.sqrt()).collect()),
         ))
     }
 
@@ -373,14 +370,14 @@ impl MotionTracker {
     ///
     /// Returns
     /// -------
-    /// Motion or None
+    /// PartMotion or None
     ///     None without contact.
     ///
     /// Raises
     /// ------
     /// ContactError
     ///     If the frame has another number of markers than the rest surface.
-    fn process(&self, frame: &Frame) -> PyResult<Option<Motion>> {
+    fn process(&self, frame: &Frame) -> PyResult<Option<PartMotion>> {
         let frame = frame.core();
         let (points_mm, covariance_mm2) = (frame.points_mm.as_slice(), frame.covariance_mm2.as_slice());
         let (state, patch) = (frame.state.as_slice(), frame.patch.as_slice());
@@ -400,7 +397,7 @@ impl MotionTracker {
     ///
     /// Returns
     /// -------
-    /// Motion or None
+    /// PartMotion or None
     ///     None without contact.
     ///
     /// Raises
@@ -412,12 +409,8 @@ impl MotionTracker {
         points_mm: &Bound<'_, PyAny>,
         covariance_mm2: &Bound<'_, PyAny>,
         patch: Vec<bool>,
-    ) -> PyResult<Option<Motion>> {
-        let (points, covariances) =
-            (Numbers::new(points_mm, "points_mm")?, Numbers::new(covariance_mm2, "covariance_mm2")?);
-        let (points_mm, covariance_mm2) = (points.rows::<DVec3, 3>()?, covariances.matrices()?);
-        let seen = |point: &DVec3| if point.is_finite() { MarkerState::Seen } else { MarkerState::Lost };
-        let state: Vec<MarkerState> = points_mm.iter().map(seen).collect();
-        self.moved(&MovedMarkers { points_mm, covariance_mm2, state: &state, patch: &patch })
+    ) -> PyResult<Option<PartMotion>> {
+        let markers = GivenMarkers::new(points_mm, covariance_mm2, patch)?;
+        self.moved(&markers.moved()?)
     }
 }

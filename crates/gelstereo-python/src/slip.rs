@@ -4,11 +4,11 @@ use crate::arrays::{self, Array1, Count, Matrix, Numbers};
 use crate::contact::RestSurface;
 use crate::errors::raise;
 use crate::force::Wrench;
+use crate::moved::GivenMarkers;
+use crate::names::name;
 use crate::params::Params;
-use gelstereo_core::force::MovedMarkers;
 use gelstereo_core::math::DVec3;
 use gelstereo_core::slip as core;
-use gelstereo_core::track::MarkerState;
 use pyo3::prelude::*;
 use std::sync::{Mutex, PoisonError};
 
@@ -60,7 +60,7 @@ impl SlipMargin {
 
     fn __repr__(&self) -> String {
         let core::Margin { share, range: [least, most], source } = self.inner;
-        let name = core::MarginSource::ALL.iter().find(|(_, s)| *s == source).map_or("", |(name, _)| name);
+        let name = name(&core::MarginSource::ALL, source);
         format!("<SlipMargin: {share:.2} between {least:.2} and {most:.2}, by {name}>")
     }
 }
@@ -108,7 +108,7 @@ pub fn friction_margin(
         return Err(raise(core::SlipError::Lengths { rest: markers, found }));
     }
     let (wrench, normal) = (wrench.core(), rest.core().normal());
-    let loads = core::Loads { wrench, traction_kpa, points_mm, normal, friction };
+    let loads = core::LoadedContact { wrench, traction_kpa, points_mm, normal, friction };
     Ok(core::Margin::of_limit(&loads).map(|inner| SlipMargin { inner }))
 }
 
@@ -175,8 +175,7 @@ impl Slip {
     }
 
     fn __repr__(&self) -> String {
-        let names = core::SlipStatus::ALL;
-        let name = names.iter().find(|(_, status)| *status == self.inner.status).map_or("", |(name, _)| name);
+        let name = name(&core::SlipStatus::ALL, self.inner.status);
         let [least, most] = self.inner.stick_range;
         format!("<Slip: {name}, stick ratio between {least:.2} and {most:.2}>")
     }
@@ -257,14 +256,9 @@ impl SlipTracker {
         covariance_mm2: &Bound<'_, PyAny>,
         patch: Vec<bool>,
     ) -> PyResult<(Array1<u8>, Option<Slip>)> {
-        let (points, covariances) =
-            (Numbers::new(points_mm, "points_mm")?, Numbers::new(covariance_mm2, "covariance_mm2")?);
-        let (points_mm, covariance_mm2) = (points.rows::<DVec3, 3>()?, covariances.matrices()?);
-        let seen = |point: &DVec3| if point.is_finite() { MarkerState::Seen } else { MarkerState::Lost };
-        let state: Vec<MarkerState> = points_mm.iter().map(seen).collect();
-        let moved = MovedMarkers { points_mm, covariance_mm2, state: &state, patch: &patch };
+        let markers = GivenMarkers::new(points_mm, covariance_mm2, patch)?;
         let mut stick = Vec::new();
-        let slip = self.inner().run(&moved, &mut stick).map_err(raise)?;
+        let slip = self.inner().run(&markers.moved()?, &mut stick).map_err(raise)?;
         let stick = arrays::list(py, stick.into_iter().map(|s| s as u8).collect());
         Ok((stick, slip.map(Slip::from_core)))
     }

@@ -28,6 +28,6 @@ mod trajectory;
 pub use effects::Effects;
 pub use plan::{Asked, Plan, Switch, Switches};
 pub use render::Ellipse;
-pub use scene::{Gel, GelKeyframe, Images, Keyframe, Other, Relief, Scene, SceneError};
+pub use scene::{Gel, GelKeyframe, Images, Keyframe, OtherPart, Relief, Scene, SceneError};
 pub use shapes::Shape;
 pub use simulator::{ContactState, DotImage, Loads, PartLoads, Sight, Simulator, Truth};

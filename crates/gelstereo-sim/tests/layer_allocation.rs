@@ -8,7 +8,7 @@ use common::{press, simulator, with_effects};
 use counting::ALLOCATIONS;
 use gelstereo_core::math::{DVec2, DVec3};
 use gelstereo_sim::effects::{ElasticLayer, LargeStrain, Relaxation};
-use gelstereo_sim::{ContactState, Effects, Keyframe, Other, Shape, Truth};
+use gelstereo_sim::{ContactState, Effects, Keyframe, OtherPart, Shape, Truth};
 
 #[test]
 fn row_35_frames_on_a_layer_allocate_nothing_after_the_first() {
@@ -33,7 +33,8 @@ fn row_35_frames_on_a_layer_allocate_nothing_after_the_first() {
         key.contact.t_sensor_object.translation_mm.y += 6.0;
         key
     });
-    scene.others = vec![Other { indenter: Shape::Sphere { radius_mm: 4.0 }, trajectory: other.collect() }];
+    scene.others =
+        vec![OtherPart { indenter: Shape::Sphere { radius_mm: 4.0 }, trajectory: other.collect() }];
     let mut simulator = simulator(&scene);
     let mut truth = Truth::default();
     // Nothing touches in the first frame.

@@ -7,7 +7,7 @@ use common::{press, simulator, with_effects};
 use gelstereo_core::math::{DVec2, DVec3, Pose};
 use gelstereo_core::slip::Stick;
 use gelstereo_sim::effects::{ElasticLayer, LargeStrain, MotionBlur, Relaxation};
-use gelstereo_sim::{ContactState, Effects, Keyframe, Other, PartLoads, Scene, Shape, Simulator, Truth};
+use gelstereo_sim::{ContactState, Effects, Keyframe, OtherPart, PartLoads, Scene, Shape, Simulator, Truth};
 use proptest::prelude::*;
 
 const BALL: Shape = Shape::Sphere { radius_mm: 2.0 };
@@ -24,7 +24,7 @@ fn layer(friction: f64) -> Effects {
 
 /// A ball, and a block as the other part; without trajectories.
 fn scene(effects: Effects) -> Scene {
-    let others = vec![Other { indenter: BLOCK, trajectory: Vec::new() }];
+    let others = vec![OtherPart { indenter: BLOCK, trajectory: Vec::new() }];
     Scene { others, ..with_effects(BALL, effects) }
 }
 
@@ -65,7 +65,7 @@ proptest! {
     ) {
         let effects = if of_layer { layer(0.6) } else { Effects::of_gel() };
         let scene = Scene {
-            others: vec![Other { indenter: BALL, trajectory: Vec::new() }],
+            others: vec![OtherPart { indenter: BALL, trajectory: Vec::new() }],
             ..with_effects(BALL, effects)
         };
         let pressed = |depth_mm| ContactState { shear_mm: [shear, 0.1], ..at(&scene, 0, place, depth_mm) };
@@ -103,7 +103,7 @@ proptest! {
     ) {
         let effects = if of_layer { layer(0.4) } else { Effects::of_gel() };
         let scene = scene(effects);
-        let others = vec![Other { indenter: BALL, trajectory: Vec::new() }];
+        let others = vec![OtherPart { indenter: BALL, trajectory: Vec::new() }];
         let turned = Scene { indenter: Some(BLOCK), others, ..scene.clone() };
         let first = ContactState { shear_mm: [shear, 0.0], ..at(&scene, 0, a, 0.8) };
         let second = at(&scene, 1, b, 0.5);
@@ -269,7 +269,7 @@ fn a_scene_with_others_is_written_and_read() {
         (Some(ball(1.0)), ball(-1.0), vec![], "radius_mm is -1"),
         (Some(ball(1.0)), ball(1.0), backwards, "keyframe 1 of a trajectory of others is at 0 s"),
     ] {
-        let others = vec![Other { indenter: other, trajectory }];
+        let others = vec![OtherPart { indenter: other, trajectory }];
         let error = Scene { indenter, others, ..Scene::default() }.validate().unwrap_err().to_string();
         assert!(error.contains(message), "{error}");
     }

@@ -14,8 +14,8 @@ use gelstereo_sim::effects::{
 };
 use gelstereo_sim::plan::Bound;
 use gelstereo_sim::{
-    Asked, ContactState, Effects, Gel, GelKeyframe, Keyframe, Other, Plan, Relief, Scene, Shape, Simulator,
-    Switch, Truth,
+    Asked, ContactState, Effects, Gel, GelKeyframe, Keyframe, OtherPart, Plan, Relief, Scene, Shape,
+    Simulator, Switch, Truth,
 };
 use proptest::prelude::*;
 
@@ -63,7 +63,7 @@ fn apart(rig: &Rig, a: &Seen, b: &Seen) -> Bound {
     Bound { px: largest(px), um: largest(um), levels: largest(levels) }
 }
 
-/// Those that random scenes have: what drops frames or needs the layer is told apart elsewhere.
+/// Those that random scenes have: what drops frames or needs the layer is tested elsewhere.
 fn names() -> Vec<&'static str> {
     let apart = ["dropped_frames", "relaxation", "large_strain"];
     every_effect::names().into_iter().filter(|name| !apart.contains(name)).collect()
@@ -254,7 +254,7 @@ fn scenes() -> impl Strategy<Value = Scene> {
             let mut scene = Scene { seed, frame_rate_hz: 4.0, rig, gel, effects, ..Scene::default() };
             scene.indenter = Some(shape);
             let (second_shape, second) = other.unzip();
-            let second_part = |indenter| Other { indenter, trajectory: Vec::new() };
+            let second_part = |indenter| OtherPart { indenter, trajectory: Vec::new() };
             scene.others = second_shape.into_iter().map(second_part).collect();
             // How deep the part goes is the same without effects, some of which take long to begin.
             let bare = Scene { effects: Effects::default(), ..scene.clone() };

@@ -7,7 +7,9 @@ use gelstereo_sim::effects::{
     Defocus, ElasticLayer, Grain, Jpeg, Misprint, MotionBlur, Relaxation, SensorNoise, ShotNoise, Shoulder,
     Smears, Specks, Spread, UnevenLight, Wear,
 };
-use gelstereo_sim::{ContactState, Effects, Images, Keyframe, Other, Relief, Scene, Shape, Simulator, Truth};
+use gelstereo_sim::{
+    ContactState, Effects, Images, Keyframe, OtherPart, Relief, Scene, Shape, Simulator, Truth,
+};
 use proptest::prelude::*;
 
 /// A small sensor with every effect that is shared in part.
@@ -103,7 +105,7 @@ fn changes() -> Vec<Change> {
             let indenter = Shape::Sphere { radius_mm: 2.0 };
             let t_sensor_object = Pose::from_translation_mm(DVec3::new(7.0, 1.0, 30.2));
             let contact = ContactState::pressed(t_sensor_object);
-            scene.others = vec![Other { indenter, trajectory: vec![Keyframe { time_s: 0.0, contact }] }];
+            scene.others = vec![OtherPart { indenter, trajectory: vec![Keyframe { time_s: 0.0, contact }] }];
         }),
         Box::new(|scene| scene.frame_rate_hz = 60.0),
     ]

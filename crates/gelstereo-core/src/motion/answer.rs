@@ -59,7 +59,7 @@ impl MotionSource {
 
 /// Motion of a part in one frame of a contact. The part's frame is the sensor frame at first touch.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Motion {
+pub struct PartMotion {
     /// How well it is known.
     pub status: MotionStatus,
     /// What it is found from.

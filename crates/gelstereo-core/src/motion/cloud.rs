@@ -2,7 +2,7 @@
 
 use crate::force::MovedMarkers;
 use crate::math::linalg::Symmetric;
-use crate::math::{DMat3, DVec3, Factor, sqrt};
+use crate::math::{DMat3, DVec3, Factor};
 use crate::track::MarkerState;
 use alloc::vec::Vec;
 
@@ -123,7 +123,7 @@ pub(super) fn pitch_mm(points_mm: &[DVec3], cols: usize) -> f64 {
     let (mut sum, mut count) = (0.0, 0.0);
     for row in points_mm.chunks_exact(cols.max(1)) {
         for pair in row.windows(2) {
-            sum += sqrt(pair[0].distance_squared(pair[1]));
+            sum += pair[0].distance(pair[1]);
             count += 1.0;
         }
     }

@@ -2,7 +2,7 @@
 
 use super::cloud::Element;
 use crate::math::linalg::{Symmetric, Triangle, eigen};
-use crate::math::{DMat3, DVec3, Pose, so3, solve_definite, sqrt};
+use crate::math::{DMat3, DVec3, Pose, so3, solve_definite};
 use crate::slip::RigidMotion;
 use alloc::vec::Vec;
 
@@ -261,8 +261,8 @@ impl Problem<'_> {
     }
 }
 
-/// Inverse of a symmetric positive definite matrix; `None` if it is not.
+/// Inverse of a sum of covariances; `None` if it is singular to rounding.
 pub(super) fn inverse(covariance_mm2: &DMat3) -> Option<DMat3> {
-    let scale = sqrt(covariance_mm2.determinant());
-    (scale > 0.0 && scale.is_finite()).then(|| covariance_mm2.inverse())
+    let determinant = covariance_mm2.determinant();
+    (determinant > 0.0 && determinant.is_finite()).then(|| covariance_mm2.inverse())
 }

@@ -5,7 +5,7 @@
 //! part's surface; their distances from the surface of the keyframe determine the motion of a part that
 //! slides. Each marker is used once, so that its noise is not counted twice.
 //!
-//! Rolling and sliding are told by how far the contact moves over the part and over the gel (Montana 1988,
+//! A part rolls if the contact moves over the part and over the gel in the same direction (Montana 1988,
 //! "The kinematics of contact and grasp").
 
 mod answer;
@@ -16,7 +16,7 @@ mod recognize;
 mod tracker;
 mod travel;
 
-pub use answer::{Motion, MotionSource, MotionStatus, SurfacePoint};
+pub use answer::{MotionSource, MotionStatus, PartMotion, SurfacePoint};
 pub use recognize::{KnownSurface, Recognition, RecognitionStatus};
 pub use tracker::MotionTracker;
 pub use travel::{MotionKind, Travel};

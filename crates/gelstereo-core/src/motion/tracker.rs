@@ -1,6 +1,6 @@
 //! Follows a part from keyframe to keyframe.
 
-use super::answer::{Motion, MotionSource, MotionStatus, SurfacePoint};
+use super::answer::{MotionSource, MotionStatus, PartMotion, SurfacePoint};
 use super::chain::product;
 use super::cloud::{Cloud, Element, pitch_mm};
 use super::fit::{Fitted, Pair, Problem, inverse};
@@ -47,7 +47,8 @@ impl Keyframe {
 #[derive(Clone, Debug)]
 pub struct MotionTracker {
     params: MotionParams,
-    slip_params: SlipParams,
+    /// Squared deviation, in variances, beyond which a length is no noise.
+    gate: f64,
     slip: SlipTracker,
     stick: Vec<Stick>,
     pitch_mm: f64,
@@ -98,7 +99,7 @@ impl MotionTracker {
         };
         Ok(Self {
             params: params.clone(),
-            slip_params: slip.clone(),
+            gate: slip.gate(1),
             slip: tracker,
             stick: Vec::with_capacity(markers),
             pitch_mm: pitch_mm(rest.points_mm(), cols),
@@ -158,7 +159,7 @@ impl MotionTracker {
     ///
     /// # Errors
     /// [`SlipError::Lengths`].
-    pub fn run(&mut self, moved: &MovedMarkers<'_>) -> Result<Option<Motion>, SlipError> {
+    pub fn run(&mut self, moved: &MovedMarkers<'_>) -> Result<Option<PartMotion>, SlipError> {
         let Some(slip) = self.slip.run(moved, &mut self.stick)? else {
             self.end();
             return Ok(None);
@@ -175,7 +176,7 @@ impl MotionTracker {
         Ok(Some(motion))
     }
 
-    fn start(&mut self, slip: Slip, about_mm: DVec3) -> Motion {
+    fn start(&mut self, slip: Slip, about_mm: DVec3) -> PartMotion {
         self.in_contact = true;
         self.keyframes = 0;
         self.was_held = false;
@@ -186,7 +187,7 @@ impl MotionTracker {
         self.answer(slip, MotionStatus::Started, pose, pose)
     }
 
-    fn follow(&mut self, slip: Slip, about_mm: DVec3) -> Motion {
+    fn follow(&mut self, slip: Slip, about_mm: DVec3) -> PartMotion {
         self.keyframe.frames = self.keyframe.frames.saturating_add(1);
         self.find_pairs(slip.status);
         if self.keyframe.frames > 1 && self.is_due(slip.status) {
@@ -264,7 +265,7 @@ impl MotionTracker {
         problem.fit(&self.keyframe.to_last, &mut self.matches)
     }
 
-    fn advance(&mut self, slip: Slip, fitted: &Fitted) -> Motion {
+    fn advance(&mut self, slip: Slip, fitted: &Fitted) -> PartMotion {
         let since_touch = product(&fitted.motion, &self.keyframe.pose);
         let step = RigidMotion {
             pose: fitted.motion.pose * self.keyframe.to_last.inverse(),
@@ -285,7 +286,6 @@ impl MotionTracker {
         };
         let is_held = !self.pairs.is_empty();
         let travel = self.meter.travel(&step, &self.last, &self.now);
-        let gate = self.slip_params.gate(1);
         let mut motion = self.answer(slip, status, since_touch, step);
         motion.source = source;
         motion.determined = fitted.determined;
@@ -296,7 +296,7 @@ impl MotionTracker {
             _ if is_held => Hold::Sticks,
             _ => Hold::Unknown,
         };
-        motion.kind = travel.kind(gate, hold);
+        motion.kind = travel.kind(self.gate, hold);
         self.is_surface_left = !self.is_less(fitted.matched as usize, self.surface.len());
         self.was_held = is_held;
         motion
@@ -323,7 +323,7 @@ impl MotionTracker {
     }
 
     /// The answer in a frame in which the part is not seen: where it was, with the variance of free motion.
-    fn unseen(&mut self, slip: Slip) -> Motion {
+    fn unseen(&mut self, slip: Slip) -> PartMotion {
         let [turn, shift] = [self.params.free_turn_rad, self.params.free_shift_mm].map(|sigma| sigma * sigma);
         let mut step = RigidMotion { about_mm: self.last_pose.about_mm, ..AT_REST };
         for k in 0..6 {
@@ -340,8 +340,8 @@ impl MotionTracker {
         status: MotionStatus,
         since_touch: RigidMotion,
         step: RigidMotion,
-    ) -> Motion {
-        Motion {
+    ) -> PartMotion {
+        PartMotion {
             status,
             source: MotionSource::Nothing,
             kind: MotionKind::Unknown,

@@ -23,8 +23,8 @@ pub struct MotionParams {
     /// Standard deviation of the distance between two views of one surface, in addition to the noise of the
     /// markers. Valid: 0 to 1 mm. Default: `0.005` mm. Raise it for rough parts.
     pub surface_sigma_mm: f64,
-    /// Least number of frames over which rolling and sliding are told; twice as many at most. Valid: 1 to
-    /// 1000000. Default: `15`, half a second at 30 Hz. Raise it for slow motions.
+    /// Rolling and sliding are measured over at least this many frames, and at most twice as many. Valid: 1
+    /// to 1000000. Default: `15`, half a second at 30 Hz. Raise it for slow motions.
     pub window_frames: u32,
 }
 

@@ -34,7 +34,7 @@ use crate::math::linalg::Symmetric;
 use crate::math::{DVec2, DVec3};
 use crate::params::{DiscBias, ForceMethod, Params, SlipMethod};
 use crate::rig::Rig;
-use crate::slip::{Loads, Margin, SlipTracker};
+use crate::slip::{LoadedContact, Margin, SlipTracker};
 use crate::track::{MarkerState, Tracks};
 use crate::triangulate::{Centres, Triangulator};
 use alloc::vec::Vec;
@@ -437,7 +437,7 @@ impl Pipeline {
         }
         let Frame { points_mm, traction_kpa, wrench, slip, .. } = out;
         if let (Some(slip), Some(wrench), Some(friction)) = (slip, wrench, self.params.force.friction) {
-            let loads = Loads { wrench, traction_kpa, points_mm, normal, friction };
+            let loads = LoadedContact { wrench, traction_kpa, points_mm, normal, friction };
             slip.margin = Margin::of_limit(&loads).or(slip.margin);
         }
         out.motion_px = contact::mean_motion_px(&self.reference_px, &out.left_px, &out.state);

@@ -8,11 +8,12 @@ use crate::params::SlipShape;
 const NORMAL_95: f64 = 1.96;
 /// Smallest pressing force, in its standard deviations: below it, a quotient by it means nothing.
 const MIN_PRESSED: f64 = 2.0 * NORMAL_95;
-/// Fewest markers whose pressures tell the lever arm of friction against a twist.
+/// Fewest markers with pressure from which the lever arm of friction against a twist is computed.
 const MIN_MARKERS: usize = 3;
 
 /// Relative standard deviation of the lever arm of friction, which the markers' pitch blurs. With 0 and 0.04,
-/// the range holds the true margin in 84 and 96 % of the frames of simulated plates, dragged or twisted.
+/// the range holds the true margin in 84 and 96 % of the frames of simulated plates, dragged or twisted. The
+/// figures of docs/slip.md are of the same frames.
 const ARM_SHARE: f64 = 0.06;
 
 /// What a margin follows from.
@@ -46,7 +47,7 @@ pub struct Margin {
 
 /// A contact whose forces are known. The lists are in the order of the markers.
 #[derive(Clone, Copy, Debug)]
-pub struct Loads<'a> {
+pub struct LoadedContact<'a> {
     /// Force and torque that the part exerts on the gel.
     pub wrench: &'a Wrench,
     /// Tractions around the markers, kilopascals; zero outside the contact.
@@ -84,7 +85,7 @@ impl Margin {
     /// 1996): the used share is sqrt(Q² + (M/r)²) / (mu P). M is about the centre of pressure, and r is the
     /// mean distance from it by pressure, so that the torque of sliding is mu P r.
     #[must_use]
-    pub fn of_limit(loads: &Loads<'_>) -> Option<Self> {
+    pub fn of_limit(loads: &LoadedContact<'_>) -> Option<Self> {
         let (normal, friction) = (loads.normal, loads.friction);
         let (centre_mm, radius_mm) = pressed(loads)?;
         let wrench = loads.wrench.about(centre_mm);
@@ -111,9 +112,9 @@ impl Margin {
     }
 }
 
-/// Centre of pressure and mean distance from it by pressure, millimetres; `None` for fewer markers than
-/// tell it.
-fn pressed(loads: &Loads<'_>) -> Option<(DVec3, f64)> {
+/// Centre of pressure and mean distance from it by pressure, millimetres; `None` with fewer than
+/// [`MIN_MARKERS`].
+fn pressed(loads: &LoadedContact<'_>) -> Option<(DVec3, f64)> {
     let pressures = loads.traction_kpa.iter().map(|traction_kpa| traction_kpa.dot(loads.normal));
     let pressures = pressures.zip(loads.points_mm).filter(|&(pressure, _)| pressure > 0.0);
     let (count, sum, moment) = pressures
@@ -144,8 +145,13 @@ mod tests {
         let (misfit, cells, markers, is_cut) = (1.0, 4, 9, false);
         let wrench = Wrench { force_n, torque_nmm, about_mm, covariance, misfit, cells, markers, is_cut };
         let traction_kpa = &[DVec3::Z * -3.0; 4];
-        let loads =
-            Loads { wrench: &wrench, traction_kpa, points_mm: &points_mm, normal: -DVec3::Z, friction };
+        let loads = LoadedContact {
+            wrench: &wrench,
+            traction_kpa,
+            points_mm: &points_mm,
+            normal: -DVec3::Z,
+            friction,
+        };
         Margin::of_limit(&loads)
     }
 

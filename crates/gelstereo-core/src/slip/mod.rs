@@ -14,6 +14,6 @@ mod tracker;
 
 pub use error::SlipError;
 pub use fit::RigidMotion;
-pub use margin::{Loads, Margin, MarginSource};
+pub use margin::{LoadedContact, Margin, MarginSource};
 pub use stick::{Slip, SlipStatus, Stick};
 pub use tracker::SlipTracker;

@@ -47,7 +47,7 @@ pub struct Scene {
     /// Poses of the part over time, interpolated. If empty, nothing touches the gel. Default: empty.
     pub trajectory: Vec<Keyframe>,
     /// Further parts that press into the same gel, `[[others]]` in a file. Default: none.
-    pub others: Vec<Other>,
+    pub others: Vec<OtherPart>,
     /// Motion of the gel relative to the cameras, `[[gel_motion]]` in a file, interpolated. If empty, the gel
     /// does not move. Default: empty.
     pub gel_motion: Vec<GelKeyframe>,
@@ -75,7 +75,7 @@ impl Default for Scene {
 /// A further part, with a trajectory of its own.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(deny_unknown_fields))]
-pub struct Other {
+pub struct OtherPart {
     /// Its shape, as [`Scene::indenter`].
     pub indenter: Shape,
     /// Its poses over time, as [`Scene::trajectory`]. Default: empty.
