@@ -22,7 +22,7 @@ from .discs import CONDITIONS, SIDE, Array, Condition, Find, Image, Print, openc
 
 PRESETS = ("paper", "fast", "balanced", "exact")
 NEAR_PX = 1.5
-#: Farther off, a marker is cut by something: by a twentieth of the pitch.
+#: A thirtieth of the pitch. Whole markers are found within 0.1 px, so that one farther off is cut.
 WHOLE_PX = 0.5
 #: Lateral shift along x and y, and depth of a press in the middle, mm.
 MOTION = ((0.0, 0.0, 0.0), (0.03, 0.01, 0.1), (0.08, -0.03, 0.3), (0.15, 0.02, 0.6), (0.2, 0.1, 0.8))

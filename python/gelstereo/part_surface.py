@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from gelstereo import Template, TemplateError
+from gelstereo import ShapeError, Template, TemplateError
 from gelstereo._native import Recognition, recognize_surface
 
 __all__ = ["PartSurface", "Recognition", "RecognitionStatus"]
@@ -54,7 +54,7 @@ class PartSurface:
 
     Raises
     ------
-    ValueError
+    ShapeError
         If the voxel is not a positive length.
 
     Examples
@@ -67,7 +67,7 @@ class PartSurface:
 
     def __init__(self, voxel_mm: float = 0.3) -> None:
         if not 0.0 < voxel_mm < np.inf:
-            raise ValueError(f"the voxel is {voxel_mm} mm wide; valid is a positive length")
+            raise ShapeError(f"the voxel is {voxel_mm} mm wide; valid is a positive length")
         self.voxel_mm = float(voxel_mm)
         self._keys = np.empty((0, 3), np.int64)
         #: Weight, weighted sums of points and of normals.
@@ -93,7 +93,7 @@ class PartSurface:
 
         Raises
         ------
-        ValueError
+        ShapeError
             If the shapes differ, a number is not finite, or a standard deviation is not positive.
         """
         points, out, sigma = _checked(points_mm, normals, sigma_mm)
@@ -159,7 +159,7 @@ class PartSurface:
 
         Raises
         ------
-        ValueError
+        ShapeError
             If there are no points, or a number is not valid.
         PoseError
             If the guess is not a pose.
@@ -170,7 +170,7 @@ class PartSurface:
         settings = {"spacing_mm": spacing_mm, "surface_sigma_mm": surface_sigma_mm}
         found = recognize_surface(known, contact, guess, guess_sigma, **settings)
         if found is None:
-            raise ValueError(
+            raise ShapeError(
                 f"the surface has {len(self)} points, the contact {len(points)}, the guess deviations "
                 f"{guess_sigma} and the spacing is {spacing_mm} mm; valid are points with normals, and "
                 "positive numbers"
@@ -243,12 +243,12 @@ def _checked(
     sigma = np.asarray(sigma_mm, np.float64)
     count = len(sigma) if sigma.ndim == 1 else -1
     if points.shape != (count, 3) or out.shape != (count, 3):
-        raise ValueError(
+        raise ShapeError(
             f"the points have shape {points.shape}, the normals {out.shape} and the standard deviations "
             f"{sigma.shape}; valid is (M, 3), (M, 3) and (M,)"
         )
     if not (np.isfinite(points).all() and np.isfinite(out).all() and np.all((sigma > 0) & (sigma < 1e9))):
-        raise ValueError(
+        raise ShapeError(
             "a point, a normal or a standard deviation is not finite, or a standard deviation is not "
             "positive; leave such points out"
         )

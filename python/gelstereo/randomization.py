@@ -365,14 +365,10 @@ def _integers_are_valid(table: dict[str, Any]) -> bool:
     return _is_range(found) and all(isinstance(x, int) for x in found) and found[1] - found[0] < _SCENE_SEEDS
 
 
-def _weights(table: dict[str, Any]) -> list[float]:
-    return table.get("weights") or [1.0] * len(table["choice"])
-
-
 def _chosen(table: dict[str, Any], numbers: _Numbers) -> int:
     if "weights" not in table:
         return numbers.below(len(table["choice"]))
-    weights = _weights(table)
+    weights = table["weights"]
     left = numbers.uniform() * sum(weights)
     likely = [at for at, weight in enumerate(weights) if weight > 0]
     for at in likely:

@@ -16,13 +16,13 @@ from gelstereo.datasets.sample import Array, Sample
 from gelstereo.export.episode import Episode, Source
 from gelstereo.export.lerobot import write_lerobot
 from gelstereo.export.recording import RecordedFrame
+from gelstereo.export.tactile import force_features
 from gelstereo.export.timeline import Timeline
 from gelstereo.states import MarkerState
 
 __all__ = ["write_lerobot_samples"]
 
 _NS_PER_S = 1e9
-_N_PER_KPA_MM2 = 1e-3
 
 
 def write_lerobot_samples(
@@ -80,11 +80,8 @@ def _frames(sample: Sample) -> Iterator[RecordedFrame]:
 def _tactile(values: dict[str, Array], pitch_mm: float | list[float]) -> dict[str, Array]:
     out: dict[str, Array] = {}
     if "traction_kpa" in values:
-        # A traction is the mean over the square around its marker.
-        force_n = values["traction_kpa"] * (np.prod(np.broadcast_to(pitch_mm, 2)) * _N_PER_KPA_MM2)
-        out["force"] = force_n
-        out["full"] = np.hstack([values["displacement_mm"], force_n])
-        out["wrench"] = np.concatenate([values["force_n"], values["torque_nmm"]])
+        moved_mm, wrench = values["displacement_mm"], (values["force_n"], values["torque_nmm"])
+        out |= force_features(moved_mm, values["traction_kpa"], pitch_mm, *wrench)
         out["stick"] = values["stick"]
     if "t_sensor_object" in values:
         turn = se3_log(values["t_sensor_object"])[:3]

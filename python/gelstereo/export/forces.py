@@ -12,10 +12,9 @@ import numpy as np
 from gelstereo._native import Frame, Params, Pipeline
 from gelstereo.export.errors import ExportError
 from gelstereo.export.recording import RecordedFrame, recorded_frames
+from gelstereo.export.tactile import force_features
 from gelstereo.view.mcap_file import read_header
 from gelstereo.view.recorded_part import rig_of
-
-_N_PER_KPA_MM2 = 1e-3
 
 
 def frames_with_forces(path: Path, settings: Params | None = None) -> Iterator[RecordedFrame]:
@@ -58,11 +57,9 @@ def frames_with_forces(path: Path, settings: Params | None = None) -> Iterator[R
 
 
 def _tactile(sensed: Frame, rest: Frame, tree: dict[str, Any]) -> dict[str, Any]:
-    # A traction is uniform over the square of a pitch around its marker.
-    force_n = sensed.traction_kpa * (tree["lattice"]["pitch_mm"] ** 2 * _N_PER_KPA_MM2)
-    wrench = np.zeros(6)
+    force_n = torque_nmm = np.zeros(3)
     if sensed.wrench is not None:
         about_origin = sensed.wrench.about([0.0, 0.0, 0.0])
-        wrench = np.concatenate([about_origin.force_n, about_origin.torque_nmm])
-    full = np.hstack([sensed.points_mm - rest.points_mm, force_n])
-    return {"force": force_n, "full": full, "wrench": wrench}
+        force_n, torque_nmm = about_origin.force_n, about_origin.torque_nmm
+    moved_mm, pitch_mm = sensed.points_mm - rest.points_mm, tree["lattice"]["pitch_mm"]
+    return force_features(moved_mm, sensed.traction_kpa, pitch_mm, force_n, torque_nmm)
