@@ -27,6 +27,7 @@ parquet = pytest.importorskip("pyarrow.parquet", reason="PyPI's pyarrow is not i
 from gelstereo.export.lerobot import export_lerobot  # noqa: E402
 from gelstereo.export.recording import ExportError, _messages, recorded_frames  # noqa: E402
 from gelstereo.export.statistics import pooled, statistics  # noqa: E402
+from gelstereo.export.tactile import force_features  # noqa: E402
 from gelstereo.export.timeline import Timeline  # noqa: E402
 from gelstereo.live.record import LiveRecorder  # noqa: E402
 
@@ -284,3 +285,13 @@ def test_the_layout_for_foxglove_shows_what_is_recorded(pressed: tuple[Path, lis
     images = {image["imageMode"]["imageTopic"] for name, image in configs.items() if name.startswith("Image")}
     cloud = configs["3D!markers"]["topics"][POINTS]["colorField"]
     assert images <= topics and cloud in [field.name for field in messages[POINTS].fields]
+
+
+@pytest.mark.parametrize(("pitch_mm", "area_mm2"), [(0.9, 0.81), ([0.9, 0.9], 0.81), ([0.8, 1.2], 0.96)])
+def test_a_marker_bears_the_traction_of_its_cell(pitch_mm: float | list[float], area_mm2: float) -> None:
+    traction_kpa = np.array([[0.0, 0.0, -10.0], [2.0, 1.0, -20.0]])
+    features = force_features(np.ones((2, 3)), traction_kpa, pitch_mm, np.ones(3), np.zeros(3))
+    # 1 kPa on 1 mm2 is 1 mN.
+    np.testing.assert_allclose(features["force"], traction_kpa * area_mm2 * 1e-3, rtol=1e-12)
+    np.testing.assert_array_equal(features["full"], np.hstack([np.ones((2, 3)), features["force"]]))
+    np.testing.assert_array_equal(features["wrench"], [1, 1, 1, 0, 0, 0])
