@@ -44,7 +44,12 @@ def test_an_empty_text_is_the_papers_configuration() -> None:
     assert tree["detect"]["background_kernel_px"] == 51
     assert 255 - tree["detect"]["threshold_levels"] == 220
     # Rows and columns are counted.
-    assert tree["lattice"] == {"pitch_mm": 0.9, "max_missing_share": 0.01, "depth_mm": 0.0}
+    assert tree["lattice"] == {
+        "layout": "square",
+        "pitch_mm": 0.9,
+        "max_missing_share": 0.01,
+        "depth_mm": 0.0,
+    }
     assert tree["track"]["gate_pitches"] == 0.5
     assert tree["label"]["tolerance_pitches"] == pytest.approx(1 / 3)
     paper = {"saliency": "depth", "saliency_mm": 0.35, "patch_share": 0.0}

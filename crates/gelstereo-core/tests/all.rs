@@ -2,6 +2,7 @@
 mod contact_patch;
 mod counting;
 mod disturbed;
+mod hexagonal;
 mod problems;
 mod rigs;
 mod solids;

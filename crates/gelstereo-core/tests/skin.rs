@@ -1,6 +1,7 @@
 //! The skin over a print that lies below it.
 
 use gelstereo_core::contact::RestSurface;
+use gelstereo_core::lattice::Topology;
 use gelstereo_core::math::linalg::Symmetric;
 use gelstereo_core::math::{DMat3, DQuat, DVec3};
 use gelstereo_core::pipeline::Skin;
@@ -14,7 +15,12 @@ fn print() -> Vec<DVec3> {
 
 /// The skin of markers without noise.
 fn skin(now_mm: &[DVec3], depth_mm: f64) -> (Vec<DVec3>, Vec<Symmetric<3>>) {
-    let mut skin = Skin::new(&RestSurface::new(&print()).unwrap(), COLS, depth_mm).unwrap();
+    let mut skin = Skin::new(
+        &RestSurface::new(&print()).unwrap(),
+        Topology::square(print().len() / COLS, COLS),
+        depth_mm,
+    )
+    .unwrap();
     let (mut points_mm, mut covariance_mm2) = (now_mm.to_vec(), vec![[[0.0; 3]; 3]; now_mm.len()]);
     skin.lift(&mut points_mm, &mut covariance_mm2);
     (points_mm, covariance_mm2)
@@ -79,7 +85,12 @@ fn noise_of_the_neighbours_is_stated() {
         (state >> 11) as f64 / (1_u64 << 53) as f64
     };
     let mut normal = || (0..12).map(|_| uniform()).sum::<f64>() - 6.0;
-    let mut layer = Skin::new(&RestSurface::new(&print()).unwrap(), COLS, depth_mm).unwrap();
+    let mut layer = Skin::new(
+        &RestSurface::new(&print()).unwrap(),
+        Topology::square(print().len() / COLS, COLS),
+        depth_mm,
+    )
+    .unwrap();
     let diagonal: Symmetric<3> = std::array::from_fn(|i| {
         std::array::from_fn(|k| if i == k { sigma_mm[i] * sigma_mm[i] } else { 0.0 })
     });

@@ -3,6 +3,7 @@
 use crate::arrays::{self, Array1, Count, Matrix, Numbers};
 use crate::errors::raise;
 use gelstereo_core::contact as core;
+use gelstereo_core::lattice::Topology;
 use gelstereo_core::math::DVec3;
 use gelstereo_core::pipeline::Skin;
 use gelstereo_core::track::MarkerState;
@@ -247,7 +248,8 @@ pub fn skin_over(
             cols.0
         )));
     }
-    let mut skin = Skin::new(&rest.inner, cols.0, depth_mm).map_err(raise)?;
+    let topology = Topology::square(points.len() / cols.0, cols.0);
+    let mut skin = Skin::new(&rest.inner, topology, depth_mm).map_err(raise)?;
     skin.lift(&mut points, &mut covariances);
     let (count, flat) = (covariances.len(), covariances.into_iter().flatten().flatten().collect());
     Ok((arrays::rows::<_, 3>(py, points)?, arrays::shaped(py, flat, [count, 3, 3])?))

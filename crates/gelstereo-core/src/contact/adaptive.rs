@@ -19,6 +19,7 @@ use super::pressure::Pressure;
 use super::rule::{self, MIN_SIGMA_MM, START};
 use super::stencils::Regions;
 use super::{ContactError, RestSurface};
+use crate::lattice::Topology;
 use crate::math::{abs, sqrt};
 use crate::track::MarkerState;
 use alloc::vec::Vec;
@@ -91,9 +92,17 @@ impl AdaptiveSaliency {
         cols: usize,
         max_decay_mm: f64,
     ) -> Result<Self, ContactError> {
-        let pressure = Pressure::new(rest, rows, cols, max_decay_mm)?;
+        Self::on(rest, Topology::square(rows, cols), max_decay_mm)
+    }
+
+    /// As [`Self::new`], for a print of any topology.
+    ///
+    /// # Errors
+    /// As [`Pressure::new`].
+    pub fn on(rest: &RestSurface, topology: Topology, max_decay_mm: f64) -> Result<Self, ContactError> {
+        let pressure = Pressure::on(rest, topology, max_decay_mm)?;
         let mut adaptive = Self { pressure, ..Self::default() };
-        let markers = rows * cols;
+        let markers = topology.places();
         let Self { bend, variance_mm2, evidence, candidate, seen_mm, steps, counts, regions, .. } =
             &mut adaptive;
         [bend, variance_mm2, evidence, seen_mm, counts].into_iter().for_each(|list| list.reserve(markers));
@@ -253,7 +262,13 @@ impl AdaptiveSaliency {
 
     /// Keeps the candidate if it is the best so far.
     fn compare(&self, from: ContactRule, best: &mut f64, rule: &mut Option<ContactRule>, out: &mut [bool]) {
-        let Some(score) = score(self.pressure.stencils().cols, &self.bend, &self.candidate) else { return };
+        let topology = self.pressure.stencils().topology;
+        let score = if topology.is_hexagonal() {
+            score_around(topology, &self.bend, &self.candidate)
+        } else {
+            score(topology.cols(), &self.bend, &self.candidate)
+        };
+        let Some(score) = score else { return };
         if score > *best {
             (*best, *rule) = (score, Some(from));
             out.copy_from_slice(&self.candidate);
@@ -290,6 +305,21 @@ fn score(cols: usize, bend: &[f64], candidate: &[bool]) -> Option<f64> {
                 sum += bend[col];
                 around += 1;
             }
+        }
+    }
+    (inside > 0).then(|| sum / sqrt(f64::from(inside + around)))
+}
+
+/// As [`score`], for a print of any topology.
+fn score_around(topology: Topology, bend: &[f64], candidate: &[bool]) -> Option<f64> {
+    let (mut sum, mut inside, mut around) = (0.0, 0_u32, 0_u32);
+    for (i, &bend) in bend.iter().enumerate() {
+        if candidate[i] {
+            sum -= bend;
+            inside += 1;
+        } else if topology.neighbours(i).any(|k| candidate[k]) {
+            sum += bend;
+            around += 1;
         }
     }
     (inside > 0).then(|| sum / sqrt(f64::from(inside + around)))

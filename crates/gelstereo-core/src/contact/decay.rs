@@ -106,7 +106,7 @@ impl DecayFit {
         self.free.clear();
         self.free.extend((0..salient.len()).map(|i| {
             let seen = |(k, _): (usize, f64)| state[k] == MarkerState::Seen;
-            pressure.stencils().taps(i).count() == 5 && pressure.stencils().taps(i).all(seen)
+            pressure.stencils().is_inner(i) && pressure.stencils().taps(i).all(seen)
         }));
         for i in (0..salient.len()).filter(|&i| salient[i]) {
             pressure.stencils().window(i, MARGIN).for_each(|k| self.free[k] = false);

@@ -1,6 +1,7 @@
 //! The configured rule for the markers in contact, with its memory.
 
 use super::{AdaptiveSaliency, ContactError, ContactRule, Decay, DecayFit, Pressure, RestSurface, saliency};
+use crate::lattice::Topology;
 use crate::math::abs;
 use crate::params::{ContactParams, Saliency};
 use crate::track::MarkerState;
@@ -41,12 +42,11 @@ enum Rung {
 }
 
 impl Rung {
-    fn new(params: &ContactParams, rest: &RestSurface, side: (usize, usize)) -> Result<Self, ContactError> {
-        let (rows, cols) = side;
+    fn new(params: &ContactParams, rest: &RestSurface, topology: Topology) -> Result<Self, ContactError> {
         Ok(match params.saliency {
             Saliency::Depth => Self::Depth,
-            Saliency::Pressure => Self::Pressure(Pressure::new(rest, rows, cols, params.decay_mm)?),
-            Saliency::Adaptive => Self::Adaptive(AdaptiveSaliency::new(rest, rows, cols, params.decay_mm)?),
+            Saliency::Pressure => Self::Pressure(Pressure::on(rest, topology, params.decay_mm)?),
+            Saliency::Adaptive => Self::Adaptive(AdaptiveSaliency::on(rest, topology, params.decay_mm)?),
         })
     }
 }
@@ -64,13 +64,13 @@ impl ContactDetector {
         }
     }
 
-    /// Starts from this rest surface of `rows * cols` markers, row by row. Reserves all memory.
+    /// Starts from this rest surface of a print, row by row. Reserves all memory.
     ///
     /// # Errors
     /// As [`Pressure::new`].
-    pub fn start(&mut self, rest: &RestSurface, rows: usize, cols: usize) -> Result<(), ContactError> {
-        self.rung = Rung::new(&self.params, rest, (rows, cols))?;
-        self.decay.start(if self.params.learn_decay { rows * cols } else { 0 });
+    pub fn start(&mut self, rest: &RestSurface, topology: Topology) -> Result<(), ContactError> {
+        self.rung = Rung::new(&self.params, rest, topology)?;
+        self.decay.start(if self.params.learn_decay { topology.places() } else { 0 });
         self.decay_mm = self.params.decay_mm;
         Ok(())
     }

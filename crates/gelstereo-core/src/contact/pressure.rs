@@ -10,11 +10,14 @@
 //! share a height with its own (simple kriging), and subtracted. Labels of a Markov random field that
 //! couples neighbours are updated simultaneously, in a few rounds, where the pressure alone does not
 //! decide. Far from contacts the weights of a regular lattice select the markers to classify.
+//!
+//! In a hexagonal print nothing is predicted: there, each pressure is judged by its own noise.
 
 use super::covariances::{AROUND, COUNT, Covariances, Even};
 use super::rule::{self, MIN_SIGMA_MM, START};
 use super::stencils::{Regions, Stencils};
 use super::{ContactError, RestSurface};
+use crate::lattice::Topology;
 use crate::math::{abs, sqrt};
 use crate::track::MarkerState;
 use alloc::vec::Vec;
@@ -29,7 +32,8 @@ const UNCERTAIN: core::ops::Range<f64> = -1.0..6.0;
 #[derive(Clone, Debug, Default)]
 pub struct Pressure {
     stencils: Stencils,
-    /// Whether a marker and its four neighbours lie inside the lattice.
+    /// Whether the noise of a marker's pressure is predicted from those around it: in a square lattice, if it
+    /// and its four neighbours lie inside.
     inner: Vec<bool>,
     even: Even,
     /// Variances of the heights; the least one for a marker that was not seen.
@@ -55,11 +59,20 @@ impl Pressure {
     /// [`ContactError::LengthMismatch`] when the rest surface does not have `rows * cols` markers,
     /// [`ContactError::Decay`] for an invalid length.
     pub fn new(rest: &RestSurface, rows: usize, cols: usize, decay_mm: f64) -> Result<Self, ContactError> {
-        let stencils = Stencils::new(rest, rows, cols, decay_mm)?;
-        let inner = stencils.weights.iter().map(|w| w.iter().all(|&w| w != 0.0)).collect();
+        Self::on(rest, Topology::square(rows, cols), decay_mm)
+    }
+
+    /// As [`Self::new`], for a print of any topology.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn on(rest: &RestSurface, topology: Topology, decay_mm: f64) -> Result<Self, ContactError> {
+        let stencils = Stencils::new(rest, topology, decay_mm)?;
+        let is_predicted = |i: usize| !topology.is_hexagonal() && stencils.is_inner(i);
+        let inner = (0..rest.points_mm().len()).map(is_predicted).collect();
         let mut pressure = Self { inner, stencils, ..Self::default() };
         pressure.even = pressure.regular();
-        pressure.reserve(rows * cols);
+        pressure.reserve(rest.points_mm().len());
         Ok(pressure)
     }
 
@@ -75,6 +88,9 @@ impl Pressure {
 
     /// The regular lattice with the mean weights of this one.
     fn regular(&self) -> Even {
+        if self.stencils.topology.is_hexagonal() {
+            return Even::none();
+        }
         let mean = |pair: [usize; 2]| {
             let inner = self.stencils.weights.iter().zip(&self.inner).filter(|(_, inner)| **inner);
             let (sum, count) =
@@ -148,7 +164,9 @@ impl Pressure {
         if !self.begin(out) {
             return Ok(());
         }
-        self.covariances.measure(&self.stencils, &self.variance_mm2);
+        if !self.stencils.topology.is_hexagonal() {
+            self.covariances.measure(&self.stencils, &self.variance_mm2);
+        }
         self.next.clear();
         self.next.extend_from_slice(out);
         self.evidence.iter_mut().for_each(|score| *score *= abs(*score));

@@ -1,6 +1,7 @@
 //! The lattice of markers and the stencils of their pressures.
 
 use super::{ContactError, RestSurface};
+use crate::lattice::{MAX_NEIGHBOURS, Topology};
 use crate::track::MarkerState;
 use alloc::vec::Vec;
 
@@ -13,16 +14,23 @@ const WEAK: f64 = 4.0;
 /// Weights of p = h - l² Δh for every marker of a lattice, row by row.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Stencils {
+    pub topology: Topology,
     pub rows: usize,
     pub cols: usize,
     pub decay_mm: f64,
-    /// Weights of the marker, left, right, up, down; 0 where there is none.
-    pub weights: Vec<[f64; 5]>,
+    /// Weights of the marker, and of those before and after it along each axis; 0 where there is none.
+    pub weights: Vec<[f64; TAPS]>,
 }
 
+/// Largest number of markers of a stencil.
+pub(super) const TAPS: usize = 1 + MAX_NEIGHBOURS;
+/// The Laplacian of a hexagonal lattice is this share of the sum of the second differences along its axes.
+const HEXAGONAL: f64 = 2.0 / 3.0;
+
 impl Stencils {
-    pub fn new(rest: &RestSurface, rows: usize, cols: usize, decay_mm: f64) -> Result<Self, ContactError> {
+    pub fn new(rest: &RestSurface, topology: Topology, decay_mm: f64) -> Result<Self, ContactError> {
         let points = rest.points_mm();
+        let (rows, cols) = (topology.rows(), topology.cols());
         if rows.checked_mul(cols) != Some(points.len()) {
             return Err(ContactError::LengthMismatch {
                 rest: points.len(),
@@ -31,16 +39,19 @@ impl Stencils {
         }
         check_decay(decay_mm)?;
         let l2 = decay_mm * decay_mm;
+        let l2 = if topology.is_hexagonal() { HEXAGONAL * l2 } else { l2 };
         let stencil = |i: usize| {
-            let (row, col) = (i / cols, i % cols);
-            let apart = |exists: bool, j: usize| exists.then(|| points[i].distance(points[j]));
-            let [left, right] =
-                second_difference(apart(col > 0, i.wrapping_sub(1)), apart(col + 1 < cols, i + 1));
-            let [up, down] =
-                second_difference(apart(row > 0, i.wrapping_sub(cols)), apart(row + 1 < rows, i + cols));
-            [1.0 + l2 * (left + right + up + down), -l2 * left, -l2 * right, -l2 * up, -l2 * down]
+            let (mut weights, mut sum) = ([0.0; TAPS], 0.0);
+            for axis in 0..topology.axes() {
+                let apart = |count| topology.step(i, axis, count).map(|j| points[i].distance(points[j]));
+                let [before, after] = second_difference(apart(-1), apart(1));
+                (weights[2 * axis + 1], weights[2 * axis + 2]) = (-l2 * before, -l2 * after);
+                sum = sum + before + after;
+            }
+            weights[0] = 1.0 + l2 * sum;
+            weights
         };
-        Ok(Self { rows, cols, decay_mm, weights: (0..points.len()).map(stencil).collect() })
+        Ok(Self { topology, rows, cols, decay_mm, weights: (0..points.len()).map(stencil).collect() })
     }
 
     /// Sets another decay length; the second differences scale with its square.
@@ -55,10 +66,25 @@ impl Stencils {
         Ok(())
     }
 
-    /// Marker, left, right, upper and lower neighbour of a stencil, with their weights.
+    /// Marker and neighbours of a stencil, with their weights.
     pub fn taps(&self, i: usize) -> impl Iterator<Item = (usize, f64)> {
-        let places = [i, i.wrapping_sub(1), i + 1, i.wrapping_sub(self.cols), i + self.cols];
+        let [mut left, mut right] = [i; 2];
+        if self.topology.is_hexagonal() {
+            // Of the axes that lean to the right and to the left.
+            left = self.topology.step(i, 2, -1).unwrap_or(i);
+            right = self.topology.step(i, 2, 1).unwrap_or(i);
+        }
+        let lean = |count| match self.topology.is_hexagonal() {
+            true => self.topology.step(i, 1, count).unwrap_or(i),
+            false => i.wrapping_add_signed(count * self.cols as isize),
+        };
+        let places = [i, i.wrapping_sub(1), i + 1, lean(-1), lean(1), left, right];
         places.into_iter().zip(self.weights[i]).filter(|&(_, weight)| weight != 0.0)
+    }
+
+    /// Whether a marker has neighbours on both sides along every axis.
+    pub fn is_inner(&self, i: usize) -> bool {
+        self.taps(i).count() == 1 + 2 * self.topology.axes()
     }
 
     /// Markers up to `reach` rows and columns from one.

@@ -88,7 +88,7 @@ impl FoundLattice {
                 detection[place.row as usize * cols + place.col as usize] = Some(m);
             }
         }
-        Sites { rows, cols, detection }
+        Sites { rows, cols, detection, is_offset: false }
     }
 }
 
@@ -101,12 +101,14 @@ pub struct Sites {
     pub cols: usize,
     /// Row by row.
     detection: Vec<Option<u32>>,
+    /// Whether every second row is shifted by half a step.
+    pub(super) is_offset: bool,
 }
 
 impl Sites {
     /// An empty set of sites.
     pub(super) fn empty(rows: usize, cols: usize) -> Self {
-        Self { rows, cols, detection: alloc::vec![None; rows * cols] }
+        Self { rows, cols, detection: alloc::vec![None; rows * cols], is_offset: false }
     }
 
     /// Sets or clears the detection at an existing place.

@@ -1,7 +1,7 @@
 //! Describes how markers are laid out that form no square lattice.
 
-use super::found::{Place, Sites};
 use crate::math::{DVec2, abs, median, sqrt};
+use crate::params::PrintLayout;
 use alloc::vec::Vec;
 
 /// Largest number of markers whose neighbours are examined. It bounds the work.
@@ -19,11 +19,16 @@ const MAX_HEXAGONAL: f64 = 1.19;
 const MAX_OPPOSITE_OFF: f64 = 0.25;
 /// Ratio of the spacings from which a print is called rectangular. A square print that is tilted by 37
 /// degrees looks like this.
-const MIN_RECTANGULAR: f64 = 1.25;
+pub(super) const MIN_RECTANGULAR: f64 = 1.25;
 
 /// How markers are laid out.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Layout {
+    /// Four neighbours at equal distances, at right angles.
+    Square {
+        /// Median distance of neighbours, pixels.
+        pitch_px: f64,
+    },
     /// Six neighbours at equal distances.
     Hexagonal,
     /// Rows and columns of different spacing.
@@ -45,6 +50,9 @@ pub enum Layout {
 impl core::fmt::Display for Layout {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         match self {
+            Self::Square { pitch_px } => {
+                write!(f, "they stand {pitch_px:.1} px apart at right angles: the print is square")
+            }
             Self::Hexagonal => {
                 write!(f, "most have six neighbours at equal distances: the print is hexagonal")
             }
@@ -99,6 +107,15 @@ fn two_axes(steps: &[DVec2; NEAREST]) -> Option<(f64, f64)> {
 }
 
 impl Layout {
+    /// Whether it is as printed.
+    pub(super) const fn is(&self, printed: PrintLayout) -> bool {
+        match self {
+            Self::Hexagonal => matches!(printed, PrintLayout::Hexagonal),
+            Self::Square { .. } => matches!(printed, PrintLayout::Square),
+            Self::Rectangular { .. } | Self::Irregular { .. } => false,
+        }
+    }
+
     /// Describes the layout of markers; `None` for a square one, and where too few markers tell it.
     ///
     /// Its cost is that of up to 256 passes over the markers.
@@ -126,28 +143,5 @@ impl Layout {
         }
         let share = |tenths: usize| distances[(distances.len() - 1) * tenths / 10];
         Some(Self::Irregular { low_px: share(1), high_px: share(9) })
-    }
-}
-
-/// Whether most cells of a lattice are hexagonal: two sides and a diagonal of one length.
-pub(super) fn is_hexagonal(sites: &Sites, points: &[DVec2]) -> bool {
-    let (mut cells, mut hexagonal) = (0, 0);
-    for place in sites.places() {
-        let at = |step: (i32, i32)| sites.at(place.step(step)).map(|m| points[m]);
-        let (Some(here), Some(right), Some(below)) = (at((0, 0)), at((0, 1)), at((1, 0))) else { continue };
-        let (row, col) = (right - here, below - here);
-        let (short, long) = (row.length().min(col.length()), row.length().max(col.length()));
-        let diagonal = (row + col).length().min((row - col).length());
-        cells += 1;
-        hexagonal += usize::from(long <= MAX_HEXAGONAL * short && diagonal <= MAX_HEXAGONAL * short);
-    }
-    2 * hexagonal > cells
-}
-
-impl Sites {
-    /// All places, row by row.
-    pub(super) fn places(&self) -> impl Iterator<Item = Place> + use<> {
-        let (rows, cols) = (self.rows as i32, self.cols as i32);
-        (0..rows).flat_map(move |row| (0..cols).map(move |col| Place::new(row, col)))
     }
 }

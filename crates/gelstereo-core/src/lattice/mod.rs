@@ -6,6 +6,7 @@
 mod anchor;
 mod beyond;
 mod bounds;
+mod cells;
 mod consistency;
 mod detection_grid;
 mod extrapolate;
@@ -13,9 +14,13 @@ mod fill;
 mod finder;
 mod foresight;
 mod found;
+mod hexagonal;
+mod hexagonal_rest;
 mod layout;
 mod rest;
 mod seed;
+mod topology;
+mod view_lattice;
 mod window;
 
 pub use anchor::{Anchor, AnchorEvidence, anchor};
@@ -25,8 +30,10 @@ pub use found::{FoundLattice, Place, Side, Sites};
 pub use layout::Layout;
 pub(crate) use rest::rest_lattice_by;
 pub use rest::{rest_lattice, rest_lattice_of};
+pub use topology::{MAX_NEIGHBOURS, Topology};
 
 use crate::math::DVec2;
+use crate::params::PrintLayout;
 use alloc::format;
 use alloc::string::String;
 use alloc::vec::Vec;
@@ -62,12 +69,14 @@ pub enum LabelError {
         /// Markers found.
         found: usize,
     },
-    /// The markers are laid out in another way than a square lattice.
+    /// The markers are laid out in another way than `lattice.layout`.
     Layout {
         /// Markers found.
         found: usize,
         /// How they are laid out.
         layout: Layout,
+        /// How they should be.
+        expected: PrintLayout,
     },
     /// The lattice found differs from the configured one.
     Shape {
@@ -157,10 +166,14 @@ impl core::fmt::Display for LabelError {
                 "none of the {found} markers found has four neighbours as in a lattice; check \
                  detect.threshold_levels and detect.polarity"
             ),
-            Self::Layout { found, layout } => write!(
-                f,
-                "found {found} markers, but {layout}; rows and columns are those of a square lattice of dots"
-            ),
+            Self::Layout { found, layout, expected } => {
+                let hint = match (expected, layout) {
+                    (PrintLayout::Square, Layout::Hexagonal) => "set lattice.layout = \"hexagonal\"",
+                    (PrintLayout::Square, _) => "rows and columns are those of a square lattice of dots",
+                    (PrintLayout::Hexagonal, _) => "lattice.layout is \"hexagonal\"",
+                };
+                write!(f, "found {found} markers, but {layout}; {hint}")
+            }
             Self::Torn { placed, dropped } => write!(
                 f,
                 "{dropped} markers do not stand where their neighbours say, and {placed} do: at most a tenth \

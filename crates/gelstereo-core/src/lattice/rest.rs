@@ -1,15 +1,12 @@
 //! The rest lattice: counts rows and columns, labels every marker and fills in missing ones.
 
-use super::beyond::with_lines_beyond;
-use super::fill::Partial;
-use super::found::FoundLattice;
-use super::layout::{Layout, is_hexagonal};
-use super::window::{PartialBorders, Window};
-use super::{LabelError, LatticeFinder, RestLattice, check_regular};
+use super::layout::Layout;
+use super::view_lattice::ViewLattice;
+use super::window::PartialBorders;
+use super::{LabelError, LatticeFinder, RestLattice};
 use crate::detect::Markers;
 use crate::math::{DVec2, atan2};
-use crate::params::LatticeParams;
-use crate::spatial::Grid;
+use crate::params::{LatticeParams, PrintLayout};
 use alloc::vec::Vec;
 
 /// Counts the rows and columns of a frame, labels it, and fills in up to `lattice.max_missing_share` of
@@ -40,9 +37,9 @@ pub fn rest_lattice(
     tolerance_pitches: f64,
 ) -> Result<RestLattice, LabelError> {
     let finder = &mut LatticeFinder::default();
-    let borders = PartialBorders::LeaveOut;
-    label_all(finder, detected_px, detected_px.len(), lattice, tolerance_pitches, borders)
-        .map_err(|error| named(error, detected_px))
+    let asked = Asked { lattice, tolerance_pitches, borders: PartialBorders::LeaveOut, other: None };
+    label_all(finder, detected_px, detected_px.len(), &asked)
+        .map_err(|error| named(error, detected_px, lattice.layout))
 }
 
 /// As [`rest_lattice`], but if the whole markers form no valid lattice, markers cut by the image border
@@ -60,7 +57,7 @@ pub fn rest_lattice_of(
     tolerance_pitches: f64,
 ) -> Result<RestLattice, LabelError> {
     let finder = &mut LatticeFinder::default();
-    match rest_lattice_by(finder, detected, lattice, tolerance_pitches) {
+    match rest_lattice_by(finder, detected, lattice, tolerance_pitches, None) {
         Err(LabelError::Border { .. } | LabelError::Shape { .. }) => {
             rest_lattice(&detected.centres_px, lattice, tolerance_pitches)
         }
@@ -69,17 +66,18 @@ pub fn rest_lattice_of(
 }
 
 /// As [`rest_lattice_of`], reusing the memory of a finder. No border row or column that is seen in part is
-/// left out.
+/// left out. With another view's lattice, rows and columns are turned as there.
 pub(crate) fn rest_lattice_by(
     finder: &mut LatticeFinder,
     detected: &Markers,
     lattice: &LatticeParams,
     tolerance_pitches: f64,
+    other: Option<&RestLattice>,
 ) -> Result<RestLattice, LabelError> {
     let whole = &detected.centres_px;
-    let borders = PartialBorders::Refuse;
-    let without = label_all(finder, whole, whole.len(), lattice, tolerance_pitches, borders)
-        .map_err(|error| named(error, whole));
+    let asked = Asked { lattice, tolerance_pitches, borders: PartialBorders::Refuse, other };
+    let without =
+        label_all(finder, whole, whole.len(), &asked).map_err(|error| named(error, whole, lattice.layout));
     if detected.cut.is_empty()
         || !matches!(without, Err(LabelError::Border { .. } | LabelError::Shape { .. }))
     {
@@ -88,7 +86,7 @@ pub(crate) fn rest_lattice_by(
     let all_px: Vec<DVec2> =
         whole.iter().copied().chain(detected.cut.iter().map(|cut| cut.centre_px)).collect();
     // If cut markers do not help, the error of the whole markers is the clearer one.
-    label_all(finder, &all_px, whole.len(), lattice, tolerance_pitches, borders).or(without)
+    label_all(finder, &all_px, whole.len(), &asked).or(without)
 }
 
 /// Labels detections. The first `whole` are whole markers; the others only show that a marker exists.
@@ -96,46 +94,39 @@ fn label_all(
     finder: &mut LatticeFinder,
     detected_px: &[DVec2],
     whole: usize,
-    lattice: &LatticeParams,
+    asked: &Asked<'_>,
+) -> Result<RestLattice, LabelError> {
+    let Asked { lattice, tolerance_pitches, borders, other } = *asked;
+    let is_hexagonal = lattice.layout == PrintLayout::Hexagonal;
+    let rows = other.filter(|_| is_hexagonal).map(|other| other.directions()[0]);
+    let detected_px = detected_px.to_vec();
+    let view = ViewLattice::find(finder, detected_px, whole, lattice.layout, tolerance_pitches, rows)?;
+    let rest = view.label(lattice, tolerance_pitches, borders)?;
+    match other {
+        Some(_) if is_hexagonal => Ok(rest),
+        Some(other) => turn_as_printed(&rest, lattice).map(|rest| rest.turned_like(other)),
+        None => turn_as_printed(&rest, lattice),
+    }
+}
+
+/// How a frame is to be labelled.
+#[derive(Clone, Copy)]
+struct Asked<'a> {
+    lattice: &'a LatticeParams,
     tolerance_pitches: f64,
     borders: PartialBorders,
-) -> Result<RestLattice, LabelError> {
-    let mut found = FoundLattice::default();
-    finder.run_with_specks(detected_px, &mut found)?;
-    let most_px = tolerance_pitches * found.pitch_px;
-    let sites = with_lines_beyond(found.sites(), detected_px, most_px);
-    let chosen = Window::choose(&sites, whole, lattice, PartialBorders::Refuse).or_else(|error| {
-        // The sheared cells of a hexagonal print would pass for a lattice with incomplete borders.
-        if is_hexagonal(&sites, detected_px) {
-            return Err(LabelError::Layout { found: detected_px.len(), layout: Layout::Hexagonal });
-        }
-        if borders == PartialBorders::Refuse {
-            Err(error)
-        } else {
-            Window::choose(&sites, whole, lattice, borders)
-        }
-    })?;
-    let window = chosen.window;
-    let (rows, cols) = (window.rows(), window.cols());
-    let taken: Vec<Option<u32>> = window.places().map(|p| sites.at(p).map(|m| m as u32)).collect();
-    let detection: Vec<Option<u32>> = taken.iter().map(|d| d.filter(|&m| (m as usize) < whole)).collect();
-    let at = detection.iter().map(|d| d.map(|m| detected_px[m as usize])).collect();
-    let partial = Partial { rows, cols, at };
-    check_regular(rows, cols, most_px, |r, c| partial.at[r * cols + c])?;
-    let positions_px = partial.filled().ok_or(LabelError::NoLattice { found: detected_px.len() })?;
-    check_gaps(detected_px, &positions_px, &taken, most_px, cols)?;
-    let (pitch_px, left_out) = (found.pitch_px, chosen.left_out);
-    let rest = RestLattice { rows, cols, positions_px, detection, pitch_px, left_out };
-    turn_as_printed(&rest, lattice)
+    /// Lattice of the other view.
+    other: Option<&'a RestLattice>,
 }
 
 /// Names the layout of markers that form no square lattice.
-fn named(error: LabelError, detected_px: &[DVec2]) -> LabelError {
+fn named(error: LabelError, detected_px: &[DVec2], expected: PrintLayout) -> LabelError {
     let layout = match error {
         LabelError::NoLattice { .. } | LabelError::Torn { .. } => Layout::of(detected_px),
         _ => None,
     };
-    layout.map_or(error, |layout| LabelError::Layout { found: detected_px.len(), layout })
+    let other = layout.filter(|layout| !layout.is(expected));
+    other.map_or(error, |layout| LabelError::Layout { found: detected_px.len(), layout, expected })
 }
 
 /// Quarter turns that make columns rows. Of the two directions, the one nearer to left to right is taken.
@@ -144,33 +135,6 @@ pub(super) fn sideways(row_step: DVec2, col_step: DVec2) -> u8 {
     // Direction of the columns without shear.
     let across = col_step.normalize_or_zero() + row_step.perp().normalize_or_zero();
     if across.x > -0.087 * across.length() { 1 } else { 3 }
-}
-
-/// Refuses a filled-in marker if an unlabelled detection lies within the tolerance of it: the labels
-/// around it have slipped. (The midpoint of two merged dots is half a pitch from both.)
-fn check_gaps(
-    points: &[DVec2],
-    positions_px: &[DVec2],
-    detection: &[Option<u32>],
-    most_px: f64,
-    cols: usize,
-) -> Result<(), LabelError> {
-    if detection.iter().all(Option::is_some) {
-        return Ok(());
-    }
-    let mut taken = alloc::vec![false; points.len()];
-    for &m in detection.iter().flatten() {
-        taken[m as usize] = true;
-    }
-    let mut grid = Grid::default();
-    grid.build(points, most_px);
-    for n in (0..detection.len()).filter(|&n| detection[n].is_none()) {
-        if let Some(m) = grid.nearest(points, positions_px[n], most_px, |m| !taken[m]) {
-            let off_px = positions_px[n].distance(points[m]);
-            return Err(LabelError::Slipped { row: n / cols, col: n % cols, off_px });
-        }
-    }
-    Ok(())
 }
 
 /// The turn that the settings allow and whose rows run most nearly from left to right.
@@ -182,8 +146,11 @@ fn turn_as_printed(rest: &RestLattice, lattice: &LatticeParams) -> Result<RestLa
     };
     let [row_step, col_step] = rest.directions();
     let aside = sideways(row_step, col_step);
+    // Rows of a hexagonal print are no columns.
+    let all = [0, aside, (aside + 2) % 4, 2];
+    let turns = if lattice.layout == PrintLayout::Hexagonal { &[0, 2][..] } else { &all[..] };
     let mut error = LabelError::NoLattice { found: rest.detection.len() };
-    for turns in [0, aside, (aside + 2) % 4, 2].iter().filter(|turns| fits(turns)) {
+    for turns in turns.iter().filter(|turns| fits(turns)) {
         let turned = rest.turned(*turns);
         let printed_anyway = lattice.missing.iter().find(|&&[row, col]| {
             row >= turned.rows || col >= turned.cols || turned.detection[row * turned.cols + col].is_some()

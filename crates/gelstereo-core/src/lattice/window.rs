@@ -43,6 +43,11 @@ pub(super) struct Chosen {
 }
 
 impl Window {
+    /// First row.
+    pub const fn top(&self) -> usize {
+        self.top
+    }
+
     pub const fn rows(&self) -> usize {
         self.bottom - self.top
     }
@@ -65,14 +70,16 @@ impl Window {
     ) -> Result<Chosen, LabelError> {
         let whole = Self::without_specks(found, whole_markers, lattice)?;
         let upright = whole.with_settings(found, lattice, [lattice.rows, lattice.cols]);
-        // After a quarter turn, the columns are the rows.
+        // After a quarter turn, the columns are the rows, except in a hexagonal print.
+        let aside = [lattice.cols, lattice.rows];
         let window = upright.or_else(|error| {
-            whole.with_settings(found, lattice, [lattice.cols, lattice.rows]).map_err(|_| error)
+            let turned = (!found.is_offset).then(|| whole.with_settings(found, lattice, aside));
+            turned.and_then(Result::ok).ok_or(error)
         });
         let window = match window {
             Err(error) if borders == PartialBorders::LeaveOut => whole
                 .best_seen(found, lattice, [lattice.rows, lattice.cols])
-                .or_else(|| whole.best_seen(found, lattice, [lattice.cols, lattice.rows]))
+                .or_else(|| if found.is_offset { None } else { whole.best_seen(found, lattice, aside) })
                 .ok_or(error),
             window => window,
         }?;
@@ -234,7 +241,10 @@ impl Window {
 
     fn line(&self, found: &Sites, side: usize) -> Line {
         let line = self.side(side);
-        Line { seen: line.seen(found), length: line.rows() * line.cols() }
+        // Every second place of a column is beside the print where rows have a marker less in turn.
+        let is_shared = found.is_offset && side % 2 == 1;
+        let length = line.rows() * line.cols();
+        Line { seen: line.seen(found), length: if is_shared { length.div_ceil(2) } else { length } }
     }
 
     /// Whether none of its markers is whole.

@@ -3,6 +3,19 @@
 use super::{ParamsError, Pitch, check};
 use alloc::vec::Vec;
 
+/// How the markers of a print stand beside each other.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "snake_case"))]
+pub enum PrintLayout {
+    /// Rows and columns at right angles, of one pitch or of two.
+    #[default]
+    Square,
+    /// Every marker has six neighbours at one distance. Rows are lines of nearest neighbours. Of their three
+    /// directions, it is the one whose rows fill the print, and rows run from left to right, or downwards in
+    /// an upright print. Every second row is shifted by half a pitch, and columns count the places of a row.
+    Hexagonal,
+}
+
 /// The printed lattice. Its rows and columns are counted in the rest frame; settings of them are only
 /// checked.
 #[derive(Clone, Debug, PartialEq)]
@@ -12,6 +25,10 @@ use alloc::vec::Vec;
     serde(default, deny_unknown_fields)
 )]
 pub struct LatticeParams {
+    /// How the markers stand beside each other; a rest frame of another layout is refused. Default: `square`.
+    /// Change it for a print whose markers have six neighbours; those need `label.method = lattice` and
+    /// `force.method = none`.
+    pub layout: PrintLayout,
     /// Markers from top to bottom; a rest frame with another number is refused. Valid: 2 to 1000 markers.
     /// Default: none, they are counted. Set it where the print is known, so that a covered border is found
     /// out.
@@ -22,8 +39,8 @@ pub struct LatticeParams {
     /// out.
     #[cfg_attr(feature = "serde", serde(skip_serializing_if = "Option::is_none"))]
     pub cols: Option<usize>,
-    /// Distance between neighbours, or `[x, y]` of a rectangular print: along a row, and along a column.
-    /// Valid: 0.001 to 1000 mm. Default: `0.9` mm. Change it to the pitch of the gel's print.
+    /// Distance between nearest neighbours, or `[x, y]` of a rectangular print: along a row, and along a
+    /// column. Valid: 0.001 to 1000 mm. Default: `0.9` mm. Change it to the pitch of the gel's print.
     pub pitch_mm: Pitch,
     /// Radius of the dots, for `triangulate.disc_bias = corrected`. Valid: 0.0001 to 500 mm, below half of
     /// `pitch_mm`. Default: none, it is told from the dots' areas in the rest frame. Set it where the print's
@@ -49,6 +66,7 @@ pub struct LatticeParams {
 impl Default for LatticeParams {
     fn default() -> Self {
         Self {
+            layout: PrintLayout::Square,
             rows: None,
             cols: None,
             pitch_mm: Pitch::square(0.9),
@@ -87,6 +105,11 @@ impl LatticeParams {
                     "rows and columns of the lattice, counted from 0",
                 )?;
             }
+        }
+        if self.layout == PrintLayout::Hexagonal && self.pitch_mm.x_mm != self.pitch_mm.y_mm {
+            let (setting, required) =
+                ("lattice.layout = \"hexagonal\"", "one lattice.pitch_mm, the distance of nearest markers");
+            return Err(ParamsError::Requires { setting, required });
         }
         for pitch_mm in self.pitch_mm.axes_mm() {
             check((1e-3..=1e3).contains(&pitch_mm), "lattice.pitch_mm", pitch_mm, "0.001 to 1000 mm")?;

@@ -22,7 +22,7 @@ pub use contact::{ContactParams, Saliency};
 pub use detect::{Background, Centre, Channel, DetectParams, FindAt, FitParams, Polarity, Search, Threshold};
 pub use force::{ForceMethod, ForceParams};
 pub use label::{LabelMethod, LabelParams};
-pub use lattice::LatticeParams;
+pub use lattice::{LatticeParams, PrintLayout};
 pub use motion::MotionParams;
 pub use pitch::Pitch;
 pub use register::{
@@ -112,7 +112,24 @@ impl Params {
         self.force.validate()?;
         self.slip.validate()?;
         self.motion.validate()?;
-        self.register.validate()
+        self.register.validate()?;
+        self.check_layout()
+    }
+
+    /// Checks that the other stages work with the print's layout.
+    fn check_layout(&self) -> Result<(), ParamsError> {
+        let setting = "lattice.layout = \"hexagonal\"";
+        let requires = |required| Err(ParamsError::Requires { setting, required });
+        match self.lattice.layout {
+            PrintLayout::Square => Ok(()),
+            PrintLayout::Hexagonal if self.label.method != LabelMethod::Lattice => {
+                requires("label.method = \"lattice\"")
+            }
+            PrintLayout::Hexagonal if self.force.method != ForceMethod::None => {
+                requires("force.method = \"none\"")
+            }
+            PrintLayout::Hexagonal => Ok(()),
+        }
     }
 }
 

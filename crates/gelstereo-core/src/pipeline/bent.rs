@@ -1,5 +1,6 @@
 //! Covariance of the points due to bending of the gel within a dot.
 
+use crate::lattice::Topology;
 use crate::math::DVec3;
 use crate::math::linalg::{Symmetric, add_outer};
 
@@ -29,34 +30,34 @@ const MAX_FOLD_NOISE: f64 = 2.0 * 2.0 * 17.5;
 /// change it by the factor 1 + s.
 ///
 /// Where a fold lies between the markers is unknown. Its square is therefore the mean over the marker (half)
-/// and its neighbours on both sides (a quarter each). What noise alone makes of it changes no weight. Rows
-/// have `cols` markers.
+/// and its neighbours on both sides (a quarter each). What noise alone makes of it changes no weight. The sum
+/// over the three axes of a hexagonal print counts every bend one and a half times.
 pub(super) fn add(
-    cols: usize,
+    topology: Topology,
     radius_pitches: Option<f64>,
     (rest_mm, points_mm): (&[DVec3], &[DVec3]),
     covariance_mm2: &mut [Symmetric<3>],
 ) {
     let radius = radius_pitches.unwrap_or(USUAL_RADIUS_PITCHES);
     let cube = radius * radius * radius;
-    let rows = points_mm.len() / cols.max(1);
+    let share_of_axis = 2.0 / topology.axes() as f64;
     for (i, covariance) in covariance_mm2.iter_mut().enumerate() {
         let noise = MAX_FOLD_NOISE * (covariance[0][0] + covariance[1][1] + covariance[2][2]);
-        for (place, step, count) in [(i % cols, 1, cols), (i / cols, cols, rows)] {
-            if place == 0 || place + 1 >= count {
-                continue;
-            }
+        let place = (i / topology.cols(), i % topology.cols());
+        for axis in 0..topology.axes() {
+            let line: [Option<usize>; 7] =
+                core::array::from_fn(|k| topology.step_from(place, axis, k as isize - 3));
+            let (Some(before), Some(after)) = (line[2], line[4]) else { continue };
             let mut square = 0.0;
-            for (place, i, share) in
-                [(place - 1, i - step, 0.25), (place, i, 0.5), (place + 1, i + step, 0.25)]
-            {
-                if place >= 2 && place + 2 < count {
-                    let fold = fold(|i| points_mm[i] - rest_mm[i], i, step);
+            for (k, share) in [(2, 0.25), (3, 0.5), (4, 0.25)] {
+                if let [Some(a), Some(b), Some(c), Some(d), Some(e)] = line[k - 2..=k + 2] {
+                    let fold = fold([a, b, c, d, e].map(|i| points_mm[i] - rest_mm[i]));
+                    let share = share * share_of_axis;
                     add_outer(covariance, cube * MOVED * share, fold.to_array());
                     square += share * fold.length_squared();
                 }
             }
-            let along = (points_mm[i + step] - points_mm[i - step]).normalize_or_zero();
+            let along = (points_mm[after] - points_mm[before]).normalize_or_zero();
             add_outer(covariance, cube * WEIGHED * (square - noise).max(0.0), along.to_array());
         }
     }
@@ -64,11 +65,10 @@ pub(super) fn add(
 
 /// The fold near a marker: the second difference there of the motion since rest, minus the mean of those at
 /// its neighbours. It is zero for a smooth bend, where all three are equal.
-fn fold(moved_mm: impl Fn(usize) -> DVec3, i: usize, step: usize) -> DVec3 {
-    let beside = moved_mm(i - step) + moved_mm(i + step);
-    let beyond = moved_mm(i - 2 * step) + moved_mm(i + 2 * step);
+fn fold([a, before, here, after, b]: [DVec3; 5]) -> DVec3 {
+    let (beside, beyond) = (before + after, a + b);
     // a(i) - (a(i - 1) + a(i + 1)) / 2 of the second differences a.
-    beside * 2.0 - moved_mm(i) * 3.0 - beyond * 0.5
+    beside * 2.0 - here * 3.0 - beyond * 0.5
 }
 
 #[cfg(test)]
@@ -93,7 +93,7 @@ mod tests {
         let rest_mm = rest_mm();
         let points_mm: Vec<DVec3> = rest_mm.iter().map(|&p| p + DVec3::Z * rise_mm(p)).collect();
         let mut covariance_mm2 = [[[before_mm2; 3]; 3]; COLS * COLS];
-        add(COLS, Some(RADIUS), (&rest_mm, &points_mm), &mut covariance_mm2);
+        add(Topology::square(COLS, COLS), Some(RADIUS), (&rest_mm, &points_mm), &mut covariance_mm2);
         covariance_mm2[MIDDLE].map(|row| row.map(|entry| entry - before_mm2))
     }
 

@@ -1,5 +1,6 @@
 //! Points of the dots' centres, corrected for the bias of their images' centres.
 
+use crate::lattice::Topology;
 use crate::math::{DVec2, DVec3, median, sqrt};
 use crate::rig::{Disc, View};
 use crate::triangulate::{Centre, Centres, Ready};
@@ -12,8 +13,7 @@ use alloc::vec::Vec;
 /// steps to its neighbours: no surface model is needed.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Discs {
-    rows: usize,
-    cols: usize,
+    topology: Topology,
     /// Radius in pitches, at rest; `None` while nothing is corrected.
     share: Option<f64>,
     /// Markers whose points were triangulated from this frame's centres.
@@ -25,13 +25,13 @@ impl Discs {
     /// the left view.
     pub fn start(
         &mut self,
-        (rows, cols): (usize, usize),
+        topology: Topology,
         radius_pitches: Option<f64>,
         area_px2: f64,
         ready: &Ready<'_>,
         points_mm: &[DVec3],
     ) {
-        (self.rows, self.cols, self.share) = (rows, cols, None);
+        (self.topology, self.share) = (topology, None);
         self.fresh.clear();
         self.fresh.extend(0..points_mm.len());
         self.share = radius_pitches.or_else(|| {
@@ -48,8 +48,8 @@ impl Discs {
     }
 
     /// Starts from a lattice with a known dot radius ([`Self::radius_pitches`]).
-    pub const fn resume(&mut self, (rows, cols): (usize, usize), radius_pitches: Option<f64>) {
-        (self.rows, self.cols, self.share) = (rows, cols, radius_pitches);
+    pub const fn resume(&mut self, topology: Topology, radius_pitches: Option<f64>) {
+        (self.topology, self.share) = (topology, radius_pitches);
     }
 
     /// Radius of the dots in pitches, at rest; `None` while nothing is corrected.
@@ -75,13 +75,20 @@ impl Discs {
         }
     }
 
-    /// Steps along the row and along the column at a marker.
+    /// Vectors of one pitch along the row and across it at a marker.
     fn steps_mm(&self, points_mm: &[DVec3], i: usize) -> [DVec3; 2] {
-        let step = |place: usize, end: usize, stride: usize| {
-            let before = if place > 0 { i - stride } else { i };
-            let after = if place + 1 < end { i + stride } else { i };
-            (points_mm[after] - points_mm[before]) * (stride as f64 / ((after - before).max(1)) as f64)
+        let place = (i / self.topology.cols(), i % self.topology.cols());
+        let step = |axis| {
+            let to = |count| self.topology.step_from(place, axis, count);
+            let (before, after) = (to(-1), to(1));
+            let steps = if before.is_some() && after.is_some() { 0.5 } else { 1.0 };
+            (points_mm[after.unwrap_or(i)] - points_mm[before.unwrap_or(i)]) * steps
         };
-        [step(i % self.cols, self.cols, 1), step(i / self.cols, self.rows, self.cols)]
+        if self.topology.is_hexagonal() {
+            // The steps down to the right and down to the left are 60 degrees apart.
+            [step(0), (step(1) + step(2)) / sqrt(3.0)]
+        } else {
+            [step(0), step(1)]
+        }
     }
 }

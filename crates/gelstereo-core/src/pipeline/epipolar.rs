@@ -6,6 +6,7 @@
 //! beside the gel. Errors of the rig's calibration are smooth over the image and are removed by a
 //! polynomial.
 
+use crate::lattice::Topology;
 use crate::math::{Factor, abs, median, sqrt};
 use crate::track::MarkerState;
 use crate::triangulate::{Centres, StereoPoint};
@@ -48,19 +49,19 @@ impl Default for Epipolar {
 }
 
 impl Epipolar {
-    /// From the rest frame of a lattice of `rows` by `cols` markers.
+    /// From the rest frame of a print.
     pub fn learn(
-        (rows, cols): (usize, usize),
+        topology: Topology,
         stereo: &[StereoPoint],
         state: &[MarkerState],
         left: Centres<'_>,
         right: Centres<'_>,
     ) -> Self {
-        if rows < MIN_SIDE || cols < MIN_SIDE {
+        if topology.rows().min(topology.cols()) < MIN_SIDE {
             return Self::default();
         }
         let sample = |i: usize| Sample {
-            terms: terms_at((rows, cols), i),
+            terms: terms_at(topology, i),
             residual_px: stereo[i].epipolar_px,
             variance_px2: variance_px2(left, right, i),
         };
@@ -88,13 +89,13 @@ impl Epipolar {
         // Errors shared by both views, from the pixel grid, cancel in the residuals, so a smaller factor
         // proves nothing.
         let is_noisier = scale - 1.0 > chance;
-        Self::resume((rows, cols), if is_noisier { scale.min(MOST) } else { 1.0 }, Some(smooth))
+        Self::resume(topology, if is_noisier { scale.min(MOST) } else { 1.0 }, Some(smooth))
     }
 
     /// As learned before.
-    pub fn resume((rows, cols): (usize, usize), scale: f64, smooth: Option<[f64; TERMS]>) -> Self {
+    pub fn resume(topology: Topology, scale: f64, smooth: Option<[f64; TERMS]>) -> Self {
         let at =
-            |smooth: [f64; TERMS]| (0..rows * cols).map(move |i| dot(&smooth, &terms_at((rows, cols), i)));
+            |smooth: [f64; TERMS]| (0..topology.places()).map(move |i| dot(&smooth, &terms_at(topology, i)));
         Self { scale, smooth, smooth_px: smooth.map(|smooth| at(smooth).collect()).unwrap_or_default() }
     }
 
@@ -115,9 +116,10 @@ pub(super) fn variance_px2(left: Centres<'_>, right: Centres<'_>, i: usize) -> f
 }
 
 /// The terms at a marker.
-fn terms_at((rows, cols): (usize, usize), i: usize) -> [f64; TERMS] {
-    let along = |at: usize, count: usize| 2.0 * at as f64 / (count - 1) as f64 - 1.0;
-    terms(along(i % cols, cols), along(i / cols, rows))
+fn terms_at(topology: Topology, i: usize) -> [f64; TERMS] {
+    let along = |at: f64, count: usize| 2.0 * at / (count - 1) as f64 - 1.0;
+    let row = i / topology.cols();
+    terms(along(topology.along(i), topology.cols()), along(row as f64, topology.rows()))
 }
 
 /// One marker of the rest frame.
@@ -200,7 +202,7 @@ mod tests {
         let (positions_px, covariance_px2) =
             ([DVec2::ZERO; MARKERS], [[[25.0 * STATED_PX2, 0.0], [0.0, STATED_PX2]]; MARKERS]);
         let centres = Centres { positions_px: &positions_px, covariance_px2: &covariance_px2 };
-        Epipolar::learn((SIDE, SIDE), &stereo, state, centres, centres).scale
+        Epipolar::learn(Topology::square(SIDE, SIDE), &stereo, state, centres, centres).scale
     }
 
     proptest! {
@@ -255,8 +257,14 @@ mod tests {
             .collect();
         let covariance_px2 = [[[STATED_PX2, 0.0], [0.0, STATED_PX2]]; MARKERS];
         let centres = Centres { positions_px: &[DVec2::ZERO; MARKERS], covariance_px2: &covariance_px2 };
-        let learned = Epipolar::learn((SIDE, SIDE), &stereo, &[MarkerState::Seen; MARKERS], centres, centres);
-        let kept = Epipolar::resume((SIDE, SIDE), learned.scale, learned.smooth);
+        let learned = Epipolar::learn(
+            Topology::square(SIDE, SIDE),
+            &stereo,
+            &[MarkerState::Seen; MARKERS],
+            centres,
+            centres,
+        );
+        let kept = Epipolar::resume(Topology::square(SIDE, SIDE), learned.scale, learned.smooth);
         assert_eq!(kept, learned);
         let sigma_px = sqrt(2.0 * STATED_PX2 * learned.scale);
         let at = |i: usize, sigmas: f64| {

@@ -29,7 +29,7 @@ use crate::contact::{self, ContactDetector, ContactRule, Decay, MarkerHeights, R
 use crate::detect::DetectError;
 use crate::force::{ForceEstimator, MovedMarkers};
 use crate::image::GrayView;
-use crate::lattice::LatticeFinder;
+use crate::lattice::{LatticeFinder, Topology};
 use crate::math::linalg::Symmetric;
 use crate::math::{DVec2, DVec3};
 use crate::params::{DiscBias, ForceMethod, Params, SlipMethod};
@@ -51,6 +51,8 @@ pub struct Pipeline {
     left: ViewStages,
     right: ViewStages,
     rest: Option<RestSurface>,
+    /// Of the print, since the rest frame.
+    topology: Topology,
     /// With `lattice.depth_mm` above 0, since the rest frame.
     skin: Option<Skin>,
     contact: ContactDetector,
@@ -94,6 +96,7 @@ impl Pipeline {
             left: ViewStages::new(View::Left, size(&rig.left), params),
             right: ViewStages::new(View::Right, size(&rig.right), params),
             rest: None,
+            topology: Topology::default(),
             skin: None,
             contact: ContactDetector::new(&params.contact),
             force: None,
@@ -283,6 +286,7 @@ impl Pipeline {
         }
         self.points_mm.clear();
         self.points_mm.extend(stereo.iter().map(|s| s.point_mm));
+        self.topology = Topology::of(self.params.lattice.layout, self.left.cols, &self.points_mm);
         let pitch = PitchCheck::new(&self.points_mm, self.left.cols, self.params.lattice.pitch_mm);
         if let Some(pitch) = pitch.filter(PitchCheck::is_absurd) {
             return Err(PipelineError::Pitch { found_mm: pitch.measured_mm, expected: pitch.expected });
@@ -292,7 +296,7 @@ impl Pipeline {
         out.state.clear();
         out.state.extend(state);
         let views = (centres(left), centres(right));
-        self.epipolar = Epipolar::learn(side(&self.left), &stereo, &out.state, views.0, views.1);
+        self.epipolar = Epipolar::learn(self.topology, &stereo, &out.state, views.0, views.1);
         self.covariance_mm2.extend(stereo.iter().enumerate().map(|(i, stereo)| {
             let variance_px2 = variance_px2(views.0, views.1, i);
             scaled(&stereo.covariance_mm2, self.epipolar.widening(i, stereo.epipolar_px, variance_px2))
@@ -304,7 +308,7 @@ impl Pipeline {
                 lattice.dot_radius_mm.map(|radius_mm| radius_mm / lattice.pitch_mm.mean_mm());
             let area_px2 = self.left.median_area_px2();
             let ready = self.triangulator.ready();
-            self.discs.start(side(&self.left), radius_pitches, area_px2, &ready, &self.points_mm);
+            self.discs.start(self.topology, radius_pitches, area_px2, &ready, &self.points_mm);
             self.discs.correct(&ready, centres(left), centres(right), &mut self.points_mm);
         }
         let rest = RestSurface::new(&self.points_mm).map_err(PipelineError::Contact)?;
@@ -328,7 +332,7 @@ impl Pipeline {
     /// Uses this surface, of the views' present tracks, as the rest surface.
     fn rest_on(&mut self, rest: RestSurface) -> Result<(), PipelineError> {
         let (left, right) = (self.left.labelled(), self.right.labelled());
-        self.contact.start(&rest, self.left.rows, self.left.cols).map_err(PipelineError::Contact)?;
+        self.contact.start(&rest, self.topology).map_err(PipelineError::Contact)?;
         let (cols, pitch_px) = (self.left.cols, self.left.pitch_px);
         self.stereo_mismatch.learn(
             &self.triangulator,
@@ -339,7 +343,7 @@ impl Pipeline {
         );
         copy_into(&left.positions_px, &mut self.reference_px);
         let depth_mm = self.params.lattice.depth_mm;
-        let skin = (depth_mm > 0.0).then(|| Skin::new(&rest, cols, depth_mm)).transpose();
+        let skin = (depth_mm > 0.0).then(|| Skin::new(&rest, self.topology, depth_mm)).transpose();
         let skin = skin.map_err(PipelineError::Contact)?;
         let (asked, surface) = (&self.params.force, skin.as_ref().map_or(&rest, Skin::rest));
         let force = (asked.method != ForceMethod::None)
@@ -399,7 +403,7 @@ impl Pipeline {
         copy_into(&out.points_mm, &mut self.points_mm);
         copy_into(&out.covariance_mm2, &mut self.covariance_mm2);
         let clouds = (rest.points_mm(), out.points_mm.as_slice());
-        bent::add(self.left.cols, self.discs.radius_pitches(), clouds, &mut out.covariance_mm2);
+        bent::add(self.topology, self.discs.radius_pitches(), clouds, &mut out.covariance_mm2);
         Ok(())
     }
 
@@ -485,7 +489,7 @@ mod tests {
         let mut pipeline = pipeline();
         let points_mm = [DVec3::ZERO, DVec3::X, DVec3::Y];
         pipeline.rest = Some(RestSurface::new(&points_mm).unwrap());
-        pipeline.epipolar = Epipolar::resume((1, 3), 2.5, None);
+        pipeline.epipolar = Epipolar::resume(Topology::square(1, 3), 2.5, None);
         assert_eq!(pipeline.noise_scale(), 2.5);
         assert_eq!(pipeline.rest_record().map(|record| record.noise_scale), Some(2.5));
         pipeline.reset();

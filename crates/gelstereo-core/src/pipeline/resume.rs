@@ -3,6 +3,7 @@
 use super::epipolar::Epipolar;
 use super::{Pipeline, PipelineError, RestRecord, RestRecordError};
 use crate::contact::RestSurface;
+use crate::lattice::Topology;
 use crate::params::{DetectParams, Search};
 use alloc::vec::Vec;
 
@@ -47,11 +48,12 @@ impl Pipeline {
         self.left.resume(&self.params, lattice, &record.left);
         self.right.resume(&self.params, lattice, &record.right);
         self.triangulator.clear_map();
-        self.discs.resume(lattice, record.dot_radius_pitches);
+        self.topology = Topology::of(record.lattice.layout, record.cols, &record.points_mm);
+        self.discs.resume(self.topology, record.dot_radius_pitches);
         self.points_mm.clone_from(&record.points_mm);
         self.rest_variance_mm2.clone_from(&record.variance_mm2);
         let smooth = record.epipolar_px.as_slice().try_into().ok();
-        self.epipolar = Epipolar::resume(lattice, record.noise_scale, smooth);
+        self.epipolar = Epipolar::resume(self.topology, record.noise_scale, smooth);
         // The variance along the normal, nearly the least certain direction, for all axes.
         self.covariance_mm2.clear();
         self.covariance_mm2.extend(

@@ -16,6 +16,7 @@
 //! | 0.8 mm | 22 um | 184 um | 624 um |
 
 use crate::contact::{ContactError, RestSurface, variance_along};
+use crate::lattice::Topology;
 use crate::math::linalg::{Symmetric, add_outer};
 use crate::math::{DVec3, abs};
 use alloc::vec::Vec;
@@ -28,7 +29,7 @@ const SIGMA_OF_CHANGE: f64 = 0.2;
 #[derive(Clone, Debug)]
 pub struct Skin {
     depth_mm: f64,
-    cols: usize,
+    topology: Topology,
     /// Cell of each marker at rest, relative to its neighbours: |along rows x along columns|, mm².
     area_mm2: Vec<f64>,
     rest: RestSurface,
@@ -36,7 +37,7 @@ pub struct Skin {
     marker_mm2: Vec<Symmetric<3>>,
 }
 
-/// Neighbours of a marker in its row or column, and the vector between them.
+/// Neighbours of a marker along an axis, and the vector between them.
 struct Span {
     before: usize,
     after: usize,
@@ -44,18 +45,18 @@ struct Span {
 }
 
 impl Skin {
-    /// Over markers at rest, in rows of `cols`; `depth_mm` is that of the print below the skin.
+    /// Over the markers of a print at rest; `depth_mm` is that of the print below the skin.
     ///
     /// # Errors
     /// [`ContactError`] if the skin at rest spans no plane.
-    pub fn new(rest: &RestSurface, cols: usize, depth_mm: f64) -> Result<Self, ContactError> {
+    pub fn new(rest: &RestSurface, topology: Topology, depth_mm: f64) -> Result<Self, ContactError> {
         let markers_mm = rest.points_mm().to_vec();
         let below = -depth_mm * rest.normal();
         let skin_mm: Vec<DVec3> = markers_mm.iter().map(|&marker| marker + below).collect();
-        let spans = (0..markers_mm.len()).map(|i| spans(&markers_mm, cols, i));
+        let spans = (0..markers_mm.len()).map(|i| spans(&markers_mm, topology, i));
         let area_mm2 = spans.map(|[row, col]| row.vector_mm.cross(col.vector_mm).length()).collect();
         let marker_mm2 = Vec::with_capacity(markers_mm.len());
-        Ok(Self { depth_mm, cols, area_mm2, rest: RestSurface::new(&skin_mm)?, markers_mm, marker_mm2 })
+        Ok(Self { depth_mm, topology, area_mm2, rest: RestSurface::new(&skin_mm)?, markers_mm, marker_mm2 })
     }
 
     /// The skin at rest.
@@ -73,7 +74,7 @@ impl Skin {
         self.marker_mm2.extend_from_slice(covariance_mm2);
         let skins = points_mm.iter_mut().zip(covariance_mm2).zip(&self.area_mm2).enumerate();
         for (i, ((point_mm, covariance_mm2), &rest_mm2)) in skins {
-            let spans = spans(&self.markers_mm, self.cols, i);
+            let spans = spans(&self.markers_mm, self.topology, i);
             let cross = spans[0].vector_mm.cross(spans[1].vector_mm);
             let area_mm2 = cross.length();
             if !(area_mm2 > 0.0 && rest_mm2 > 0.0) {
@@ -104,13 +105,12 @@ impl Skin {
     }
 }
 
-/// Spans about marker `i` along its row and its column; at the border they end at the marker itself.
-fn spans(points_mm: &[DVec3], cols: usize, i: usize) -> [Span; 2] {
-    let cols = cols.max(1);
-    let rows = points_mm.len() / cols;
-    [(i % cols, 1, cols), (i / cols, cols, rows)].map(|(place, step, count)| {
-        let before = if place > 0 { i - step } else { i };
-        let after = if place + 1 < count { i + step } else { i };
+/// Spans about marker `i` along two axes; at the border they end at the marker itself.
+fn spans(points_mm: &[DVec3], topology: Topology, i: usize) -> [Span; 2] {
+    let place = (i / topology.cols().max(1), i % topology.cols().max(1));
+    [0, 1].map(|axis| {
+        let before = topology.step_from(place, axis, -1).unwrap_or(i);
+        let after = topology.step_from(place, axis, 1).unwrap_or(i);
         Span { before, after, vector_mm: points_mm[after] - points_mm[before] }
     })
 }

@@ -9,8 +9,10 @@ use crate::detect::{DetectError, Detector, Markers, max_markers};
 use crate::image::GrayView;
 use crate::lattice::{self, LatticeFinder, RestLattice};
 use crate::math::DVec2;
-use crate::params::{Background, Centre, DetectParams, FindAt, LabelMethod, Params, Search, Threshold};
-use crate::track::{Certainty, MarkerState, Tracker, Tracks, VerifiedTracker};
+use crate::params::{
+    Background, Centre, DetectParams, FindAt, LabelMethod, Params, PrintLayout, Search, Threshold,
+};
+use crate::track::{Certainty, MarkerState, ScatteredTracker, Tracker, Tracks, VerifiedTracker};
 use alloc::boxed::Box;
 use alloc::vec::Vec;
 
@@ -37,6 +39,9 @@ pub(super) struct ViewStages {
     detected: Result<(), DetectError>,
     tracker: Tracker,
     checked: VerifiedTracker,
+    /// Tracks instead of `checked` where rows are shifted: the other one knows rows and columns at right
+    /// angles.
+    hexagonal: Option<Box<ScatteredTracker>>,
     tracks: Tracks,
     windows: Windows,
     searched: Searched,
@@ -73,6 +78,8 @@ impl ViewStages {
             detected: Ok(()),
             tracker: Tracker::new(&params.track),
             checked: VerifiedTracker::new(&params.track, size_px),
+            hexagonal: (params.lattice.layout == PrintLayout::Hexagonal)
+                .then(|| Box::new(ScatteredTracker::new(&params.track, size_px))),
             tracks: Tracks::default(),
             windows: Windows::default(),
             searched: Searched::Whole,
@@ -161,7 +168,10 @@ impl ViewStages {
         limit: Option<u64>,
         size: &ViewSize,
     ) -> Option<DetectRung> {
-        let are_ready = follows && self.windows.are_ready() && is_certain(params, &self.tracks);
+        let are_ready = follows
+            && self.hexagonal.is_none()
+            && self.windows.are_ready()
+            && is_certain(params, &self.tracks);
         let fits = |work: u64| limit.is_none_or(|limit| work <= limit);
         match params.detect.search {
             _ if !are_ready => None,
@@ -218,7 +228,8 @@ impl ViewStages {
             // It learns the image's noise.
             let _ = cheaper.run(image, &mut self.windows.found.markers);
         }
-        if self.is_limited || params.detect.search == Search::Windows {
+        let has_windows = self.is_limited || params.detect.search == Search::Windows;
+        if has_windows && self.hexagonal.is_none() {
             let Self { windows, detector, cheaper, markers, tracks, .. } = self;
             let size_px = (image.width(), image.height());
             let lattice = LatticeScale { cols: self.cols, pitch_px: self.pitch_px };
@@ -247,12 +258,8 @@ impl ViewStages {
         other: Option<&RestLattice>,
     ) -> Result<RestLattice, PipelineError> {
         let tolerance_pitches = params.label.tolerance_pitches;
-        let rest = lattice::rest_lattice_by(finder, &self.markers, &params.lattice, tolerance_pitches)
+        let rest = lattice::rest_lattice_by(finder, &self.markers, &params.lattice, tolerance_pitches, other)
             .map_err(|error| PipelineError::Label { view: self.view, error })?;
-        let rest = match other {
-            Some(other) => rest.turned_like(other),
-            None => rest,
-        };
         self.begin(params, &rest);
         Ok(rest)
     }
@@ -266,7 +273,12 @@ impl ViewStages {
         self.resumes = false;
         let most = max_markers(&params.detect, self.size_px);
         match params.label.method {
-            LabelMethod::Lattice => self.checked.initialise(rest, &self.markers, most, &mut self.tracks),
+            LabelMethod::Lattice => match &mut self.hexagonal {
+                Some(tracker) => {
+                    tracker.initialise_labelled(rest, &self.markers, most, &mut self.tracks);
+                }
+                None => self.checked.initialise(rest, &self.markers, most, &mut self.tracks),
+            },
             LabelMethod::Foresight => {
                 self.tracker.initialise(rest, &self.markers, &mut self.tracks);
                 self.tracker.reserve(self.size_px, most);
@@ -304,6 +316,10 @@ impl ViewStages {
             self.tracker.initialise(&rest, &markers, &mut self.tracks);
             self.tracker.reserve(self.size_px, most);
         }
+        if let Some(tracker) = &mut self.hexagonal {
+            tracker.initialise_labelled(&rest, &markers, most, &mut self.tracks);
+            return tracker.hold(&mut self.tracks);
+        }
         self.checked.initialise(&rest, &markers, most, &mut self.tracks);
         self.checked.hold(&mut self.tracks);
     }
@@ -340,6 +356,9 @@ impl ViewStages {
 
     /// Updates the tracks to this frame.
     fn track(&mut self, params: &Params) -> Certainty {
+        if let Some(tracker) = &mut self.hexagonal {
+            return tracker.run(&self.markers, &mut self.tracks);
+        }
         if self.skipped {
             self.checked.hold(&mut self.tracks);
             return Certainty::Uncertain;

@@ -11,6 +11,7 @@ use super::interpolate::{Affine, pairs};
 use super::verified::Certainty;
 use super::{MarkerState, Tracks, pitch_shift};
 use crate::detect::Markers;
+use crate::lattice::RestLattice;
 use crate::math::DVec2;
 use crate::math::linalg::Symmetric;
 use crate::params::{Motion, TrackParams};
@@ -114,19 +115,23 @@ impl ScatteredTracker {
         if count < MIN_MARKERS {
             return Err(TooFewMarkers { found: count });
         }
-        self.rest_px.clone_from(&rest.centres_px);
-        self.neighbours = Neighbours::new(&self.rest_px);
-        self.spacing_px = self.neighbours.spacing_px();
-        self.expected_px.clone_from(&self.rest_px);
-        for hypothesis in [&mut self.best, &mut self.other] {
-            hypothesis.reserve(count, most_detections, self.size_px, self.spacing_px);
-        }
-        self.votes.reserve();
-        self.known.reserve(count);
-        self.round.reserve(count);
+        self.lay(&rest.centres_px, most_detections);
         out.covariance_px2.clone_from(&rest.covariance_px2);
         out.start(&self.rest_px, core::iter::repeat_n(false, count));
         Ok(())
+    }
+
+    /// As [`Self::initialise`], from a labelled rest frame of at least 3 x 3 markers and its detections.
+    /// Markers that were filled in are held until they are seen.
+    pub fn initialise_labelled(
+        &mut self,
+        rest: &RestLattice,
+        detected: &Markers,
+        most_detections: usize,
+        out: &mut Tracks,
+    ) {
+        self.lay(&rest.positions_px, most_detections);
+        out.initialise(rest, detected, self.params.gate_pitches * rest.pitch_px);
     }
 
     /// Rest positions, pixels, in the order of the tracks.
@@ -139,6 +144,22 @@ impl ScatteredTracker {
     #[must_use]
     pub const fn spacing_px(&self) -> f64 {
         self.spacing_px
+    }
+
+    /// Takes rest positions, and reserves memory.
+    fn lay(&mut self, rest_px: &[DVec2], most_detections: usize) {
+        let count = rest_px.len();
+        self.rest_px.clear();
+        self.rest_px.extend_from_slice(rest_px);
+        self.neighbours = Neighbours::new(&self.rest_px);
+        self.spacing_px = self.neighbours.spacing_px();
+        self.expected_px.clone_from(&self.rest_px);
+        for hypothesis in [&mut self.best, &mut self.other] {
+            hypothesis.reserve(count, most_detections, self.size_px, self.spacing_px);
+        }
+        self.votes.reserve();
+        self.known.reserve(count);
+        self.round.reserve(count);
     }
 
     /// Updates the tracks by the detections of the next frame. `out` holds the tracks of the previous frame.

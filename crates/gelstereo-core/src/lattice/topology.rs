@@ -1,0 +1,162 @@
+//! Which places of a print are neighbours.
+
+use crate::math::{DVec2, DVec3};
+use crate::params::PrintLayout;
+
+/// Rows and columns of a print, and how its rows stand beside each other. Place `i` is in row `i / cols` and
+/// column `i % cols`.
+///
+/// In a hexagonal print, every second row is shifted by half a pitch. Column `col` of row `row` then stands
+/// `col + s (row mod 2) / 2` pitches along the row, where `s` is 1 or -1.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Topology {
+    rows: usize,
+    cols: usize,
+    offset: Offset,
+}
+
+/// How odd rows stand to even ones.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+enum Offset {
+    #[default]
+    None,
+    Forward,
+    Backward,
+}
+
+/// Largest number of neighbours of a place.
+pub const MAX_NEIGHBOURS: usize = 6;
+
+impl Topology {
+    /// Rows and columns at right angles.
+    #[must_use]
+    pub const fn square(rows: usize, cols: usize) -> Self {
+        Self { rows, cols, offset: Offset::None }
+    }
+
+    /// A hexagonal print, whose odd rows are shifted half a pitch along the row, or half a pitch back.
+    #[must_use]
+    pub const fn hexagonal(rows: usize, cols: usize, odd_rows_forward: bool) -> Self {
+        Self { rows, cols, offset: if odd_rows_forward { Offset::Forward } else { Offset::Backward } }
+    }
+
+    /// Of a print of this layout, whose markers stand here at rest, row by row.
+    #[must_use]
+    pub fn of(layout: PrintLayout, cols: usize, rest_mm: &[DVec3]) -> Self {
+        let rows = rest_mm.len() / cols.max(1);
+        match layout {
+            PrintLayout::Square => Self::square(rows, cols),
+            PrintLayout::Hexagonal => Self::hexagonal(rows, cols, odd_rows_forward(cols, rest_mm)),
+        }
+    }
+
+    /// As [`Self::of`], of positions in an image.
+    #[must_use]
+    pub fn in_image(layout: PrintLayout, cols: usize, rest_px: &[DVec2]) -> Self {
+        let flat: alloc::vec::Vec<DVec3> = rest_px.iter().map(|at| at.extend(0.0)).collect();
+        Self::of(layout, cols, &flat)
+    }
+
+    /// Number of rows.
+    #[must_use]
+    pub const fn rows(&self) -> usize {
+        self.rows
+    }
+
+    /// Number of columns: places of a row.
+    #[must_use]
+    pub const fn cols(&self) -> usize {
+        self.cols
+    }
+
+    /// Number of places.
+    #[must_use]
+    pub const fn places(&self) -> usize {
+        self.rows * self.cols
+    }
+
+    /// Whether every second row is shifted.
+    #[must_use]
+    pub const fn is_hexagonal(&self) -> bool {
+        !matches!(self.offset, Offset::None)
+    }
+
+    /// Number of directions in which a place has neighbours, each with one before and one after: along the
+    /// row and down the column, or along the row, down to the right and down to the left.
+    #[must_use]
+    pub const fn axes(&self) -> usize {
+        if self.is_hexagonal() { 3 } else { 2 }
+    }
+
+    /// The place so many steps from another one along an axis, if it exists.
+    #[must_use]
+    pub fn step(&self, place: usize, axis: usize, count: isize) -> Option<usize> {
+        self.step_from((place / self.cols, place % self.cols), axis, count)
+    }
+
+    /// As [`Self::step`], from a row and column.
+    #[must_use]
+    #[inline]
+    pub fn step_from(&self, (row, col): (usize, usize), axis: usize, count: isize) -> Option<usize> {
+        let (down, right) = match axis {
+            0 => (0, count),
+            _ if !self.is_hexagonal() => (count, 0),
+            _ => {
+                let to = row as isize + count;
+                let lean = self.shift(to) - self.shift(row as isize);
+                (count, if axis == 1 { lean } else { lean - count })
+            }
+        };
+        let row = row.checked_add_signed(down).filter(|&row| row < self.rows)?;
+        let col = col.checked_add_signed(right).filter(|&col| col < self.cols)?;
+        Some(row * self.cols + col)
+    }
+
+    /// Neighbours of a place: before and after it along each axis.
+    pub fn neighbours(&self, place: usize) -> impl Iterator<Item = usize> {
+        let topology = *self;
+        (0..self.axes())
+            .flat_map(move |axis| [-1, 1].into_iter().map(move |count| (axis, count)))
+            .filter_map(move |(axis, count)| topology.step(place, axis, count))
+    }
+
+    /// Where a place stands along its row, in pitches.
+    #[must_use]
+    pub const fn along(&self, place: usize) -> f64 {
+        let (row, col) = (place / self.cols, (place % self.cols) as f64);
+        match self.offset {
+            Offset::Forward if row % 2 == 1 => col + 0.5,
+            Offset::Backward if row % 2 == 1 => col - 0.5,
+            _ => col,
+        }
+    }
+
+    /// Columns between a row's first place and the line down to the right through place 0.
+    const fn shift(&self, row: isize) -> isize {
+        match self.offset {
+            Offset::None => 0,
+            Offset::Forward => row.div_euclid(2),
+            Offset::Backward => (row + 1).div_euclid(2),
+        }
+    }
+}
+
+/// Whether odd rows are shifted along the row, by the mean step from even rows to odd ones.
+fn odd_rows_forward(cols: usize, rest_mm: &[DVec3]) -> bool {
+    let cols = cols.max(1);
+    let mut along = DVec3::ZERO;
+    for row in rest_mm.chunks_exact(cols) {
+        along += row[cols - 1] - row[0];
+    }
+    // From an even row to the odd ones above and below, so that a slanted view does not count.
+    let row = |row: usize| rest_mm.get(row * cols..(row + 1) * cols);
+    let mut shift = 0.0;
+    for even in (0..rest_mm.len() / cols).step_by(2) {
+        for odd in [even.wrapping_sub(1), even + 1] {
+            if let (Some(even), Some(odd)) = (row(even), row(odd)) {
+                shift += even.iter().zip(odd).map(|(even, odd)| (*odd - *even).dot(along)).sum::<f64>();
+            }
+        }
+    }
+    shift > 0.0
+}

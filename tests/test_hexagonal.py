@@ -1,0 +1,149 @@
+"""Hexagonal prints from images to points, contact and pose; drawn without the simulator."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import trimesh
+from drawn import SHOULDER_MM, SURFACE_MM, Press, Sensor
+
+import gelstereo as gs
+
+Array = npt.NDArray[np.float64]
+
+ROWS, COLS, PITCH_MM = 20, 21, 0.85
+BALL = Press("ball", 1.0, (0.4, -0.3), radius_mm=6.0)
+#: Where the drawn gel leaves the ball.
+RIM_MM = float(np.sqrt(BALL.radius_mm * BALL.depth_mm))
+#: The ball in contact is told to about a pitch: outside, the gel falls by a factor e over `SHOULDER_MM`.
+ASIDE_MM = PITCH_MM + SHOULDER_MM / 4
+
+
+@dataclass(frozen=True)
+class HexagonalSensor(Sensor):
+    """A sensor whose every second row is shifted by half a pitch."""
+
+    turn_rad: float = 0.05
+
+    @property
+    def rest_mm(self) -> Array:
+        row, col = (grid.ravel().astype(np.float64) for grid in np.mgrid[0:ROWS, 0:COLS])
+        x = (col + 0.5 * (row % 2) - COLS / 2 + 0.25) * PITCH_MM
+        y = (row - (ROWS - 1) / 2) * np.sqrt(0.75) * PITCH_MM
+        cos, sin = np.cos(self.turn_rad), np.sin(self.turn_rad)
+        x, y = cos * x - sin * y, sin * x + cos * y
+        return np.column_stack([x + 3.0, y, np.full(len(x), SURFACE_MM)])
+
+
+def params(preset: str = "balanced", **settings: object) -> gs.Params:
+    print_settings = {"lattice.layout": "hexagonal", "lattice.pitch_mm": PITCH_MM}
+    return gs.Params.preset(preset).replace({**print_settings, **settings})
+
+
+def press(sensor: Sensor, pipeline: gs.Pipeline, seed: int = 0, steps: int = 5) -> list[gs.Frame]:
+    """Frames from rest to the whole press."""
+    frames = []
+    for k in range(steps + 1):
+        share = Press("ball", BALL.depth_mm * k / steps, BALL.place_mm, radius_mm=BALL.radius_mm)
+        points_mm = sensor.markers_mm(share if k else None)
+        frames.append(pipeline.process(*sensor.pair(points_mm, 10 * seed + k)))
+    return frames
+
+
+@pytest.mark.parametrize("preset", ["fast", "balanced", "exact"])
+def test_a_ball_on_a_hexagonal_print(preset: str) -> None:
+    sensor = HexagonalSensor()
+    pipeline = gs.Pipeline(sensor.rig, params(preset))
+    frames = press(sensor, pipeline)
+    truth_mm = sensor.markers_mm(BALL)
+    for frame in frames:
+        assert (frame.rows, frame.cols) == (ROWS, COLS)
+        assert (frame.state == gs.MarkerState.SEEN).mean() > 0.98
+    assert not frames[0].salient.any()
+    last = frames[-1]
+    off_mm = last.points_mm - truth_mm
+    seen = last.state == gs.MarkerState.SEEN
+    # Of another marker it would be 0.85 mm.
+    assert np.linalg.norm(off_mm[seen], axis=1).max() < 0.25
+    assert np.sqrt(np.mean(off_mm[seen, 2] ** 2)) < 0.03
+    away_mm = np.hypot(*(sensor.rest_mm[:, :2] - [3.0 + BALL.place_mm[0], BALL.place_mm[1]]).T)
+    touches = away_mm < RIM_MM
+    hits = (last.salient & touches).sum()
+    f1 = 2 * hits / (last.salient.sum() + touches.sum())
+    assert f1 > 0.85
+    assert not last.salient[away_mm > RIM_MM + 2 * ASIDE_MM].any()
+
+
+def test_the_pose_of_a_ball_on_a_hexagonal_print() -> None:
+    sensor = HexagonalSensor()
+    frame = press(sensor, gs.Pipeline(sensor.rig, params()))[-1]
+    centre_mm = np.array(
+        [3.0 + BALL.place_mm[0], BALL.place_mm[1], SURFACE_MM - BALL.depth_mm + BALL.radius_mm]
+    )
+    ball = gs.Template.from_mesh(trimesh.creation.icosphere(5, BALL.radius_mm), units="mm", spacing_mm=0.5)
+    guess = np.eye(4)
+    guess[:3, 3] = centre_mm + [0.4, -0.5, 0.2]
+    found = gs.localize(frame, ball, guess=guess, params=gs.Params.preset("balanced"))
+    assert found.converged
+    assert np.linalg.norm(np.asarray(found.t_sensor_object)[:3, 3] - centre_mm) < 0.1
+
+
+def test_a_record_of_a_hexagonal_print_is_resumed() -> None:
+    sensor = HexagonalSensor()
+    pipeline = gs.Pipeline(sensor.rig, params())
+    press(sensor, pipeline, steps=1)
+    record = pipeline.rest_record()
+    assert record is not None
+    again = gs.Pipeline(sensor.rig, params())
+    again.resume(record)
+    moved_mm = sensor.markers_mm(Press("ball", 0.3, BALL.place_mm, radius_mm=6.0), (0.2, 0.1))
+    frame = again.process(*sensor.pair(moved_mm, 7))
+    seen = frame.state == gs.MarkerState.SEEN
+    assert seen.mean() > 0.98
+    assert np.linalg.norm(frame.points_mm - moved_mm, axis=1)[seen].max() < 0.25
+
+
+def test_a_covered_marker_is_held_and_found_again() -> None:
+    sensor = HexagonalSensor()
+    pipeline = gs.Pipeline(sensor.rig, params())
+    rest_mm = sensor.markers_mm(None)
+    hidden = [6 * COLS + 9, 6 * COLS + 10, 7 * COLS + 9]
+    kept = np.delete(np.arange(len(rest_mm)), hidden)
+    pipeline.process(*sensor.pair(rest_mm, 0))
+    for seed in range(1, 4):
+        frame = pipeline.process(*sensor.pair(rest_mm[kept] + [0.1 * seed, 0.0, 0.0], seed))
+        assert (frame.state[hidden] == gs.MarkerState.HELD).all()
+        assert (frame.state[kept] == gs.MarkerState.SEEN).mean() > 0.98
+        assert (
+            np.linalg.norm(
+                frame.left_px[hidden] - sensor.rig.project(rest_mm + [0.1 * seed, 0, 0])[0][hidden], axis=1
+            ).max()
+            < 1.0
+        )
+    frame = pipeline.process(*sensor.pair(rest_mm + [0.4, 0.0, 0.0], 9))
+    assert (frame.state == gs.MarkerState.SEEN).mean() > 0.98
+
+
+def test_layouts_are_not_mistaken() -> None:
+    hexagonal, square = HexagonalSensor(), Sensor()
+    images = hexagonal.pair(hexagonal.rest_mm, 1)
+    with pytest.raises(gs.LabelError, match=r'set lattice\.layout = "hexagonal"'):
+        gs.Pipeline(hexagonal.rig, gs.Params.preset("balanced")).process(*images)
+    with pytest.raises(gs.LabelError, match="the print is square"):
+        gs.Pipeline(square.rig, params()).process(*square.pair(square.rest_mm, 1))
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"lattice.pitch_mm": [0.8, 0.9]}, "one lattice.pitch_mm"),
+        ({"label.method": "foresight"}, "label.method"),
+        ({"force.method": "bounded", "force.thickness_mm": 4.0, "force.young_kpa": 100.0}, "force.method"),
+    ],
+)
+def test_what_a_hexagonal_print_excludes_is_refused(settings: dict[str, object], message: str) -> None:
+    with pytest.raises(gs.ParamsError, match=message):
+        params(**settings)
