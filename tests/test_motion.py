@@ -165,3 +165,38 @@ def test_settings_and_lists_are_checked() -> None:
         (gs._native.motion_kinds(), MotionKind),
     ):
         assert names == {value.name: value.value for value in kind}
+
+
+def test_keyframes_are_those_of_the_frames_until_a_loop_is_closed() -> None:
+    """Rolled there and back: keyframes have the poses of their frames, with covariances that are positive."""
+    peg = {"kind": "cylinder", "radius_mm": 3.0, "length_mm": 30.0}
+    moves, centre = [], np.array([-3.0, 0.0, 31.0])
+    for step in range(40):
+        turn = np.array([0.0, 0.06 if step < 20 else -0.06, 0.0])
+        moves.append(about(centre - [0.0, 0.0, 3.0], turn, np.zeros(3)))
+        centre = (moves[-1] @ [*centre, 1.0])[:3]
+    scene = gs.Scene().replace(indenter=peg, effects={"elastic_layer": {"friction": 1.5}})
+    simulator, random = gs.Simulator(scene), np.random.default_rng(2)
+    rest = simulator.advance(None, frame=0).points_mm
+    tracker = gs.MotionTracker(gs.RestSurface(rest), gs.Params(), cols=25)
+    covariance = np.tile(np.diag(SIGMA_MM**2), (len(rest), 1, 1))
+    pose, loops, poses = np.asarray(simulator.pressed(lying_peg(-3.0), 0.9)), 0, {}
+    assert tracker.keyframes()[1].shape == (0, 4, 4)
+    for index, move in enumerate([np.eye(4), *moves], 1):
+        pose = move @ pose
+        frame = simulator.advance(pose, frame=index)
+        assert frame.loads is not None
+        points = frame.points_mm + SIGMA_MM * random.normal(size=rest.shape)
+        motion = tracker.run(points, covariance, [bool(s) for s in frame.loads.stick])
+        assert motion is not None
+        poses.setdefault(motion.keyframe, motion.keyframe_pose)
+        numbers, found, covariances, about_mm = tracker.keyframes()
+        assert numbers[-1] == motion.keyframe and np.all(np.diff(numbers) > 0)
+        # The keyframe of this frame has its corrected pose.
+        np.testing.assert_allclose(found[-1], motion.keyframe_pose, atol=1e-9)
+        if motion.loops == 0:
+            np.testing.assert_allclose(found, [poses[n] for n in numbers], atol=1e-9)
+        assert covariances.shape == (len(numbers), 6, 6) and about_mm.shape == (len(numbers), 3)
+        assert all(np.linalg.eigvalsh(c)[0] > -1e-12 for c in covariances)
+        loops = motion.loops
+    assert loops > 0 and motion.keyframe > 1

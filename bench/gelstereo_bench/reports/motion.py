@@ -27,6 +27,7 @@ from gelstereo import (
 )
 from gelstereo.geometry import se3_exp, se3_log
 from gelstereo_bench.reports.markdown import replace_between, table
+from gelstereo_bench.reports.motion_loops import loop_rows, recognition_rows
 from gelstereo_bench.reports.slip import Run, Step, runs
 
 __all__ = ["Seen", "follow", "main", "turns"]
@@ -181,6 +182,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--docs", type=Path, default=Path("docs"), help="folder of the manual")
     parser.add_argument("--contacts", type=int, default=180, help="number of contacts")
     parser.add_argument("--turns", type=int, default=10, help="full turns of each cylinder")
+    parser.add_argument("--recognitions", type=int, default=24, help="contacts of each part that come back")
     options = parser.parse_args(arguments)
     rows, seconds = [], []
     made = list(runs(options.contacts, seed=30))
@@ -198,6 +200,13 @@ def main(arguments: list[str] | None = None) -> int:
     head += ["shift, um", "keyframes", "frames not determined, %"]
     rows = [_turn_row(radius, options.turns) for radius in (2.0, 2.5, 3.0)]
     replace_between(options.docs / "motion.md", "turns", table(head, rows))
+    head = ["rod", "count", "without loops: rotation, median, degrees", "largest", "mean squared error (6)"]
+    head += ["with loops: rotation, median, degrees", "largest", "mean squared error (6)", "loops", "false"]
+    replace_between(options.docs / "motion.md", "loops", table(head, loop_rows(options.turns)))
+    head = ["part", "contacts that came back", "found", "found at a wrong pose", "other parts found"]
+    replace_between(
+        options.docs / "motion.md", "recognitions", table(head, recognition_rows(options.recognitions))
+    )
     median, late = 1e3 * np.percentile(seconds, [50, 99])
     print(f"{median:.2f} ms a frame in the median, {late:.2f} ms at 99 %")
     return 0

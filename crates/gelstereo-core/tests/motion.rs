@@ -79,6 +79,27 @@ impl Gel {
         }
     }
 
+    /// As `hold`, but the part has bumps on its sphere.
+    fn hold_bumps(&mut self, pose: &Pose, centre_mm: DVec2, radius_mm: f64) {
+        let middle = DVec3::new(0.0, 0.0, Z_MM + 5.5);
+        self.hold(pose, centre_mm, radius_mm);
+        for (i, rest) in rest_mm().into_iter().enumerate() {
+            if !self.patch[i] {
+                continue;
+            }
+            let away_mm = (rest.truncate() - centre_mm).length();
+            let on_sphere = rest - DVec3::Z * (0.5 - away_mm * away_mm / 12.0);
+            if self.touched_mm[i].is_some_and(|p| pose.transform_point(p).distance(on_sphere) < 1e-9) {
+                // Markers that are new.
+                let d = (pose.inverse().transform_point(on_sphere) - middle).normalize();
+                let bump = 0.25 * (7.0 * d.x + 3.0 * d.y).sin() * (6.0 * d.y + 2.0 * d.z).cos();
+                self.touched_mm[i] = Some(middle + d * (6.0 + bump));
+            }
+            let touched = self.touched_mm[i].unwrap();
+            self.see(i, pose.transform_point(touched));
+        }
+    }
+
     fn see(&mut self, i: usize, point_mm: DVec3) {
         let noise = DVec3::from_array(SIGMA_MM.map(|sigma| sigma * self.random.normal()));
         self.points_mm[i] = self.frame.transform_point(point_mm + noise);
@@ -375,6 +396,7 @@ fn what_cannot_be_used_is_refused() {
         MotionParams { free_shift_mm: f64::NAN, ..MotionParams::default() },
         MotionParams { surface_sigma_mm: -1.0, ..MotionParams::default() },
         MotionParams { window_frames: 0, ..MotionParams::default() },
+        MotionParams { loop_keyframes: 65, ..MotionParams::default() },
     ] {
         assert!(matches!(made(&invalid, COLS), Err(SlipError::Params(_))), "{invalid:?}");
     }
@@ -384,4 +406,61 @@ fn what_cannot_be_used_is_refused() {
     let Gel { points_mm, covariance_mm2, state, .. } = &gel;
     let short = MovedMarkers { points_mm, covariance_mm2, state, patch: &[true] };
     assert_eq!(tracker().run(&short), Err(SlipError::Lengths { rest: COLS * ROWS, found: 1 }));
+}
+
+/// A sphere with bumps that rolls away and comes back: the last frame, its true pose, and the mean squared
+/// error of the keyframes, normalised by their covariance.
+fn there_and_back(seed: u64, loop_keyframes: u32) -> (PartMotion, Pose, f64) {
+    let rest = RestSurface::new(&rest_mm()).unwrap();
+    let params = MotionParams { loop_keyframes, ..MotionParams::default() };
+    let mut tracker = MotionTracker::new(&SlipParams::default(), &params, &rest, COLS).unwrap();
+    let (mut gel, mut last, mut truth) = (Gel::new(seed, Pose::IDENTITY), None, vec![Pose::IDENTITY]);
+    for step in 0..=60_u32 {
+        let (pose, centre) = rolled(30 - step.abs_diff(30), 0.04, 0.3);
+        gel.hold_bumps(&pose, centre, 3.3);
+        let motion = gel.run(&mut tracker).unwrap();
+        if let Some((_, before)) = last.filter(|_| motion.keyframe as usize == truth.len()) {
+            truth.push(before);
+        }
+        last = Some((motion, pose));
+    }
+    let errors: Vec<f64> = (tracker.keyframes().skip(1))
+        .map(|(number, motion)| squared_error(&motion, &truth[number as usize]))
+        .collect();
+    let (motion, pose) = last.unwrap();
+    (motion, pose, errors.iter().sum::<f64>() / errors.len() as f64)
+}
+
+/// Loops correct the pose of a part that came back, and the keyframes before, within their covariance.
+/// Without loops, the error is that of the chain.
+#[test]
+fn a_surface_that_comes_back_corrects_the_poses() {
+    let (mut with, mut without, mut squared, mut keyframes) = (0.0, 0.0, 0.0, 0.0);
+    let count = 24;
+    for seed in 0..count {
+        let turned = |motion: &PartMotion, pose: Pose| {
+            (pose * motion.since_touch.pose.inverse()).log().0.length_squared() / count as f64
+        };
+        let (motion, pose, _) = there_and_back(seed, 0);
+        assert_eq!(motion.loops, 0);
+        without += turned(&motion, pose);
+        let (motion, pose, errors) = there_and_back(seed, 32);
+        assert!(motion.loops >= 2, "{seed}: {}", motion.loops);
+        with += turned(&motion, pose);
+        squared += squared_error(&motion.since_touch, &pose) / count as f64;
+        keyframes += errors / count as f64;
+    }
+    assert!(with < 0.5 * without, "{with} {without}");
+    // Of six components; normals at the border are stated worse than they are.
+    assert!((3.0..8.0).contains(&squared) && (3.0..8.0).contains(&keyframes), "{squared} {keyframes}");
+}
+
+/// A tracker that remembers few keyframes forgets those that show the same, and closes loops with the others.
+#[test]
+fn few_keyframes_close_loops_too() {
+    let closed: u32 = (0..8).map(|seed| there_and_back(seed, 4).0.loops).sum();
+    let (motion, pose, errors) = there_and_back(1, 4);
+    assert!(closed >= 8 && motion.keyframe >= 4, "{closed} {}", motion.keyframe);
+    assert!(squared_error(&motion.since_touch, &pose) < 40.0 && errors < 20.0, "{errors}");
+    assert_eq!(there_and_back(1, 2).0.loops, 0);
 }

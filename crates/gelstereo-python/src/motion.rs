@@ -11,9 +11,12 @@ use crate::slip::Slip;
 use gelstereo_core::force::MovedMarkers;
 use gelstereo_core::math::DVec3;
 use gelstereo_core::motion as core;
+use numpy::PyArray3;
 use pyo3::prelude::*;
 use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
+
+type Cube = Py<PyArray3<f64>>;
 
 /// Names and values of how well a motion is known, repeated in `gelstereo.MotionStatus` for typing.
 #[pyfunction]
@@ -114,6 +117,13 @@ impl PartMotion {
     #[getter]
     const fn keyframe(&self) -> u32 {
         self.inner.keyframe
+    }
+
+    /// Loops closed in this contact up to this frame. The pose jumps in the frame that closes one; earlier
+    /// poses are corrected by `MotionTracker.keyframes`.
+    #[getter]
+    const fn loops(&self) -> u32 {
+        self.inner.loops
     }
 
     /// Markers that have stuck since the keyframe.
@@ -351,13 +361,39 @@ impl MotionTracker {
     /// normals : (M, 3) float64
     ///     Unit normals out of the part.
     /// sigma_mm : (M,) float64
-    ///     Standard deviations along the normals, by the noise of the markers.
+    ///     Standard deviations along the normals, by the noise of the markers, and by edges that are sharper
+    ///     than the markers' distance shows.
     fn surface(&self, py: Python<'_>) -> PyResult<(Matrix, Matrix, Array1<f64>)> {
         let found: Vec<core::SurfacePoint> = self.inner().surface().collect();
         Ok((
             arrays::rows::<_, 3>(py, found.iter().map(|p| p.point_mm).collect())?,
             arrays::rows::<_, 3>(py, found.iter().map(|p| p.normal).collect())?,
             arrays::list(py, found.iter().map(|p| p.variance_mm2.sqrt()).collect()),
+        ))
+    }
+
+    /// Keyframes of the last contact that are remembered, corrected by all loops that were closed since.
+    ///
+    /// Returns
+    /// -------
+    /// numbers : (K,) int64
+    ///     As in `PartMotion.keyframe`, ascending.
+    /// poses : (K, 4, 4) float64
+    ///     Motions from first touch to each keyframe, sensor frame.
+    /// covariances : (K, 6, 6) float64
+    ///     Of a small rotation about `about_mm` and a small translation after it: rad², rad mm and mm².
+    /// about_mm : (K, 3) float64
+    ///     Centroids of the contact, sensor frame.
+    fn keyframes(&self, py: Python<'_>) -> PyResult<(Array1<i64>, Cube, Cube, Matrix)> {
+        let found: Vec<_> = self.inner().keyframes().collect();
+        let count = found.len();
+        let poses = found.iter().flat_map(|(_, m)| m.pose.to_rows().concat()).collect();
+        let covariances = found.iter().flat_map(|(_, m)| m.covariance.concat()).collect();
+        Ok((
+            arrays::list(py, found.iter().map(|&(number, _)| i64::from(number)).collect()),
+            arrays::shaped(py, poses, (count, 4, 4))?,
+            arrays::shaped(py, covariances, (count, 6, 6))?,
+            arrays::rows::<_, 3>(py, found.iter().map(|(_, m)| m.about_mm).collect())?,
         ))
     }
 

@@ -79,6 +79,9 @@ pub struct PartMotion {
     pub contact: u32,
     /// Keyframes of this contact before the one that this frame is compared with.
     pub keyframe: u32,
+    /// Loops closed in this contact up to this frame. The pose jumps in the frame that closes one, and
+    /// earlier poses are corrected: see [`MotionTracker::keyframes`](super::MotionTracker::keyframes).
+    pub loops: u32,
     /// Markers that have stuck since the keyframe.
     pub stuck: u32,
     /// Markers compared with the keyframe's surface.
@@ -96,6 +99,7 @@ pub struct SurfacePoint {
     pub point_mm: DVec3,
     /// Unit normal out of the part.
     pub normal: DVec3,
-    /// Variance of the position along the normal, by the noise of the marker.
+    /// Variance of the position along the normal, by the noise of the marker, and by edges that are sharper
+    /// than the markers' distance shows.
     pub variance_mm2: f64,
 }

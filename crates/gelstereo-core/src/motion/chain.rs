@@ -1,7 +1,7 @@
 //! Products of uncertain motions.
 
-use crate::math::DVec3;
 use crate::math::linalg::Symmetric;
+use crate::math::{DVec3, Pose};
 use crate::slip::RigidMotion;
 
 /// `first`, and then `second`, with independent errors. The covariance is about the point of `second`.
@@ -30,4 +30,34 @@ fn carried(first: &RigidMotion, second: &RigidMotion) -> Symmetric<6> {
         core::array::from_fn(|k| (0..6).map(|j| columns[j][i] * first.covariance[j][k]).sum())
     });
     core::array::from_fn(|i| core::array::from_fn(|k| (0..6).map(|j| half[i][j] * columns[j][k]).sum()))
+}
+
+/// Adjoint of a pose: what a small motion (omega, v) is in the frame that the pose maps to (Barfoot 2017,
+/// section 7.1).
+pub(super) fn adjoint(pose: &Pose) -> [[f64; 6]; 6] {
+    let (turn, shift_mm) = (pose.matrix(), pose.translation_mm);
+    let mut rows = [[0.0; 6]; 6];
+    for k in 0..3 {
+        let (omega, lever) = (turn.col(k), shift_mm.cross(turn.col(k)));
+        for i in 0..3 {
+            (rows[i][k], rows[3 + i][k], rows[3 + i][3 + k]) = (omega[i], lever[i], omega[i]);
+        }
+    }
+    rows
+}
+
+/// A B.
+pub(super) fn times(a: &[[f64; 6]; 6], b: &[[f64; 6]; 6]) -> [[f64; 6]; 6] {
+    core::array::from_fn(|i| core::array::from_fn(|k| (0..6).map(|j| a[i][j] * b[j][k]).sum()))
+}
+
+/// A Bᵀ.
+pub(super) fn times_transposed(a: &[[f64; 6]; 6], b: &[[f64; 6]; 6]) -> [[f64; 6]; 6] {
+    core::array::from_fn(|i| core::array::from_fn(|k| (0..6).map(|j| a[i][j] * b[k][j]).sum()))
+}
+
+/// A C Aᵀ, symmetric to the last bit.
+pub(super) fn moved(a: &[[f64; 6]; 6], c: &Symmetric<6>) -> Symmetric<6> {
+    let full = times_transposed(&times(a, c), a);
+    core::array::from_fn(|i| core::array::from_fn(|k| full[i.min(k)][i.max(k)]))
 }

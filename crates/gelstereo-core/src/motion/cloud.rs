@@ -6,6 +6,9 @@ use crate::math::{DMat3, DVec3, Factor};
 use crate::track::MarkerState;
 use alloc::vec::Vec;
 
+/// Squared deviation, in variances, up to which a third difference is noise: four standard deviations.
+const NOISE: f64 = 16.0;
+
 /// A marker in contact.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Element {
@@ -17,6 +20,10 @@ pub(super) struct Element {
     pub normal: DVec3,
     /// Variance of the normal along each tangent.
     pub normal_variance: f64,
+    /// The part of it by what is not quadratic in the surface.
+    pub sharpness: f64,
+    /// Whether four markers in its row and in its column tell how far the surface is from quadratic.
+    pub is_checked: bool,
 }
 
 impl Element {
@@ -54,8 +61,11 @@ impl Cloud {
             *element = Element { is_used, point_mm, covariance_mm2, ..Element::default() };
         }
         for i in 0..self.elements.len() {
-            if let Some((normal, variance)) = self.normal(i) {
-                (self.elements[i].normal, self.elements[i].normal_variance) = (normal, variance);
+            if let Some((normal, variance, sharpness)) = self.normal(i) {
+                let element = &mut self.elements[i];
+                (element.normal, element.is_checked) = (normal, sharpness.is_some());
+                element.sharpness = sharpness.unwrap_or(0.0);
+                element.normal_variance = variance + element.sharpness;
             }
         }
     }
@@ -68,8 +78,8 @@ impl Cloud {
     }
 
     /// Normal of the surface at a marker, from differences along its row and column. They are exact for
-    /// quadratic surfaces.
-    fn normal(&self, i: usize) -> Option<(DVec3, f64)> {
+    /// quadratic surfaces. With the variance by noise and, if it is known, by what is not quadratic.
+    fn normal(&self, i: usize) -> Option<(DVec3, f64, Option<f64>)> {
         let element = self.elements.get(i).filter(|e| e.is_used)?;
         let (row, column) = (i / self.cols, i % self.cols);
         let along = |k: isize| {
@@ -82,7 +92,11 @@ impl Cloud {
         let normal = if normal.dot(self.up) < 0.0 { -normal } else { normal };
         let variance = normal.dot(element.covariance_mm2 * normal);
         let angle = (share_u / u.length_squared()).max(share_v / v.length_squared());
-        Some((normal, variance * angle))
+        let sharp = |at: &dyn Fn(isize) -> Option<DVec3>, step: DVec3| {
+            Some(sharpness(at, normal, variance)? / step.length_squared())
+        };
+        let sharpness = sharp(&along, u).zip(sharp(&down, v)).map(|(u, v)| u.max(v));
+        Some((normal, variance * angle, sharpness))
     }
 
     fn used_at(&self, i: usize) -> Option<DVec3> {
@@ -112,6 +126,17 @@ fn slope(at: &impl Fn(isize) -> Option<DVec3>) -> Option<(DVec3, f64)> {
         }
     }
     None
+}
+
+/// Squared error of [`slope`] along the normal by what is not quadratic: a third of the third difference of
+/// four markers in a row at most, without its noise. `None` without four markers.
+fn sharpness(at: &dyn Fn(isize) -> Option<DVec3>, normal: DVec3, variance: f64) -> Option<f64> {
+    let third = |first: isize| {
+        Some((at(first + 3)? - at(first)? + (at(first + 1)? - at(first + 2)?) * 3.0).dot(normal))
+    };
+    let largest = (-3..=0).filter_map(third).map(|x| x * x).reduce(f64::max)?;
+    // The variance of a third difference is 20 times that of a marker.
+    Some(((largest - NOISE * 20.0 * variance) / 9.0).max(0.0))
 }
 
 fn is_valid(covariance: &Symmetric<3>) -> bool {

@@ -66,6 +66,13 @@ pub(super) struct Fitted {
     pub prior_cost: f64,
 }
 
+impl Fitted {
+    /// Mean of the squared residuals of matched elements over their variances.
+    pub fn mean_square(&self) -> f64 {
+        self.chi2 / f64::from(self.matched).max(1.0)
+    }
+}
+
 /// Normal equations in units of the free motion of one frame.
 #[derive(Clone, Copy, Debug)]
 struct Sums {

@@ -5,6 +5,9 @@
 //! part's surface; their distances from the surface of the keyframe determine the motion of a part that
 //! slides. Each marker is used once, so that its noise is not counted twice.
 //!
+//! A surface that comes back closes a loop: the motion between both keyframes is measured once more, and all
+//! keyframes between are corrected by their covariance with it.
+//!
 //! A part rolls if the contact moves over the part and over the gel in the same direction (Montana 1988,
 //! "The kinematics of contact and grasp").
 
@@ -12,6 +15,8 @@ mod answer;
 mod chain;
 mod cloud;
 mod fit;
+mod joint;
+mod loops;
 mod recognize;
 mod tracker;
 mod travel;

@@ -106,25 +106,15 @@ impl KnownSurface<'_> {
             frames: 1.0,
             matching_rounds: MATCHING_ROUNDS,
         };
-        let found = optima(&problem, guess);
-        let (cost, best) = *found.first()?;
-        let other = found.iter().skip(1).find(|(_, fitted)| !is_same(&best.motion, &fitted.motion.pose));
-        let count = f64::from(best.matched);
-        let mean_square = best.chi2 / count.max(1.0);
-        let is_noise = mean_square <= 1.0 + ONE_IN_A_HUNDRED * sqrt(2.0 / count.max(1.0));
-        let status = if best.matched < MIN_MATCHED || count < MIN_SHARE * now.len() as f64 {
-            RecognitionStatus::TooLittle
-        } else if !is_noise {
-            RecognitionStatus::Misfit
-        } else if other.is_some_and(|(second, _)| second - cost < CLEAR) {
-            RecognitionStatus::Ambiguous
-        } else {
-            RecognitionStatus::Found
-        };
+        let (mut found, mut matches) = (Vec::with_capacity(STARTS), Vec::new());
+        optima(&problem, guess, STARTS, &mut matches, &mut found);
+        let status = judge(&found, now.len())?;
+        let (best, other) = (found.first()?.fitted, second(&found).map(|optimum| optimum.fitted));
+        let mean_square = best.mean_square();
         Some(Recognition {
             status,
             t_contact_part: best.motion,
-            other: other.map(|(_, fitted)| fitted.motion.pose),
+            other: other.map(|fitted| fitted.motion.pose),
             determined: best.determined,
             matched: best.matched,
             mean_square,
@@ -137,6 +127,8 @@ impl KnownSurface<'_> {
         let normal = normal.try_normalize().filter(|_| is_valid)?;
         Some(Element {
             is_used: true,
+            is_checked: true,
+            sharpness: 0.0,
             point_mm,
             covariance_mm2: DMat3::from_diagonal(DVec3::splat(variance_mm2)),
             normal,
@@ -145,22 +137,59 @@ impl KnownSurface<'_> {
     }
 }
 
-/// Optima with their costs, the best first.
-fn optima(problem: &Problem<'_>, guess: &Pose) -> Vec<(f64, Fitted)> {
-    let (mut random, mut matches) = (Stream::new(1, "recognize"), Vec::new());
-    let mut found: Vec<(f64, Fitted)> = Vec::with_capacity(STARTS);
-    for k in 0..STARTS {
+/// An optimum with its cost.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Optimum {
+    cost: f64,
+    start: usize,
+    pub fitted: Fitted,
+}
+
+/// Optima from this many starts about the guess, the best first.
+pub(super) fn optima(
+    problem: &Problem<'_>,
+    guess: &Pose,
+    starts: usize,
+    matches: &mut Vec<Option<usize>>,
+    found: &mut Vec<Optimum>,
+) {
+    let mut random = Stream::new(1, "recognize");
+    found.clear();
+    for start in 0..starts {
         let mut offset = [0.0; 6];
-        if k > 0 {
+        if start > 0 {
             offset = offset.map(|_| random.normal());
         }
-        if let Some(fitted) = problem.fit_from(guess, offset, &mut matches) {
+        if let Some(fitted) = problem.fit_from(guess, offset, matches) {
             let missing = problem.now.len() as f64 - f64::from(fitted.matched);
-            found.push((fitted.chi2 + UNMATCHED * missing + fitted.prior_cost, fitted));
+            let cost = fitted.chi2 + UNMATCHED * missing + fitted.prior_cost;
+            found.push(Optimum { cost, start, fitted });
         }
     }
-    found.sort_by(|a, b| a.0.total_cmp(&b.0));
-    found
+    // An unstable sort allocates nothing.
+    found.sort_unstable_by(|a, b| a.cost.total_cmp(&b.cost).then(a.start.cmp(&b.start)));
+}
+
+/// The best optimum that is another pose than the first.
+fn second(found: &[Optimum]) -> Option<&Optimum> {
+    let (first, others) = found.split_first()?;
+    others.iter().find(|other| !is_same(&first.fitted.motion, &other.fitted.motion.pose))
+}
+
+/// Whether the best optimum recognizes a contact of this many points; `None` without any.
+pub(super) fn judge(found: &[Optimum], points: usize) -> Option<RecognitionStatus> {
+    let best = found.first()?;
+    let count = f64::from(best.fitted.matched);
+    let largest = 1.0 + ONE_IN_A_HUNDRED * sqrt(2.0 / count.max(1.0));
+    Some(if best.fitted.matched < MIN_MATCHED || count < MIN_SHARE * points as f64 {
+        RecognitionStatus::TooLittle
+    } else if !(best.fitted.mean_square() <= largest) {
+        RecognitionStatus::Misfit
+    } else if second(found).is_some_and(|other| other.cost - best.cost < CLEAR) {
+        RecognitionStatus::Ambiguous
+    } else {
+        RecognitionStatus::Found
+    })
 }
 
 /// Whether a pose is within the errors of a motion.

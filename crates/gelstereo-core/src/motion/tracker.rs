@@ -4,6 +4,7 @@ use super::answer::{MotionSource, MotionStatus, PartMotion, SurfacePoint};
 use super::chain::product;
 use super::cloud::{Cloud, Element, pitch_mm};
 use super::fit::{Fitted, Pair, Problem, inverse};
+use super::loops::Loops;
 use super::travel::{Hold, MotionKind, Travel, TravelMeter};
 use crate::contact::RestSurface;
 use crate::force::MovedMarkers;
@@ -56,6 +57,8 @@ pub struct MotionTracker {
     last: Cloud,
     /// Of the last frame.
     last_pose: RigidMotion,
+    /// From the keyframe to the last frame.
+    since_keyframe: RigidMotion,
     was_held: bool,
     /// Whether enough elements of the last frame were matched with the keyframe's.
     is_surface_left: bool,
@@ -63,6 +66,7 @@ pub struct MotionTracker {
     contacts: u32,
     keyframes: u32,
     keyframe: Keyframe,
+    loops: Loops,
     meter: TravelMeter,
     pairs: Vec<Pair>,
     surface: Vec<Element>,
@@ -105,12 +109,14 @@ impl MotionTracker {
             pitch_mm: pitch_mm(rest.points_mm(), cols),
             last: cloud.clone(),
             last_pose: AT_REST,
+            since_keyframe: AT_REST,
             was_held: false,
             is_surface_left: true,
             in_contact: false,
             contacts: 0,
             keyframes: 0,
             keyframe,
+            loops: Loops::new(params.loop_keyframes as usize),
             meter: TravelMeter::new(params.window_frames, rest.points_mm(), up),
             now: cloud,
             pairs: Vec::with_capacity(markers),
@@ -136,12 +142,20 @@ impl MotionTracker {
     /// without contact.
     pub fn surface(&self) -> impl Iterator<Item = SurfacePoint> {
         let back = self.last_pose.pose.inverse();
+        // A point stands for the surface up to half a marker distance away.
+        let half_mm = 0.5 * self.pitch_mm;
         let elements = self.last.elements.iter().filter(|e| self.in_contact && e.has_normal());
         elements.map(move |e| SurfacePoint {
             point_mm: back.transform_point(e.point_mm),
             normal: back.transform_vector(e.normal),
-            variance_mm2: e.normal.dot(e.covariance_mm2 * e.normal),
+            variance_mm2: e.normal.dot(e.covariance_mm2 * e.normal) + half_mm * half_mm * e.sharpness,
         })
+    }
+
+    /// Keyframes of the last contact that are remembered, by number, with the motion from first touch to them
+    /// and its covariance about the contact's centroid. A loop corrects those before it.
+    pub fn keyframes(&self) -> impl Iterator<Item = (u32, RigidMotion)> {
+        self.loops.keyframes()
     }
 
     /// Forgets the contact: the next frame is the first touch.
@@ -183,6 +197,8 @@ impl MotionTracker {
         self.pairs.clear();
         let pose = RigidMotion { about_mm, ..AT_REST };
         self.keyframe.set(&self.now, pose);
+        self.since_keyframe = pose;
+        self.loops.start(about_mm, &self.now);
         self.meter.start(&self.now);
         self.answer(slip, MotionStatus::Started, pose, pose)
     }
@@ -197,7 +213,13 @@ impl MotionTracker {
         }
         self.find_surface();
         let Some(fitted) = self.fit(about_mm) else { return self.unseen(slip) };
-        self.advance(slip, &fitted)
+        let mut motion = self.advance(slip, &fitted);
+        let like = self.problem();
+        if let Some([keyframe, now]) = self.loops.pass(&fitted.motion, self.keyframes + 1, &self.now, &like) {
+            (self.keyframe.pose, motion.since_touch) = (keyframe, now);
+            (motion.keyframe_pose, motion.loops) = (keyframe.pose, self.loops.closed);
+        }
+        motion
     }
 
     /// Drops markers that do not stick from the keyframe. Those that are not seen are kept.
@@ -256,13 +278,25 @@ impl MotionTracker {
             now: &self.surface,
             before: &self.known,
             about_mm,
+            frames: f64::from(self.keyframe.frames),
+            ..self.problem()
+        };
+        problem.fit(&self.keyframe.to_last, &mut self.matches)
+    }
+
+    /// What all fits have in common.
+    fn problem(&self) -> Problem<'static> {
+        Problem {
+            pairs: &[],
+            now: &[],
+            before: &[],
+            about_mm: DVec3::ZERO,
             pitch_mm: self.pitch_mm,
             surface_sigma_mm: self.params.surface_sigma_mm,
             free: [self.params.free_turn_rad, self.params.free_shift_mm],
-            frames: f64::from(self.keyframe.frames),
+            frames: 1.0,
             matching_rounds: MATCHING_ROUNDS,
-        };
-        problem.fit(&self.keyframe.to_last, &mut self.matches)
+        }
     }
 
     fn advance(&mut self, slip: Slip, fitted: &Fitted) -> PartMotion {
@@ -273,6 +307,7 @@ impl MotionTracker {
             covariance: fitted.step_covariance,
         };
         self.keyframe.to_last = fitted.motion.pose;
+        self.since_keyframe = fitted.motion;
         let source = match (self.pairs.is_empty(), fitted.matched) {
             (true, 0) => MotionSource::Nothing,
             (false, 0) => MotionSource::Markers,
@@ -318,7 +353,12 @@ impl MotionTracker {
 
     fn set_keyframe_to_last(&mut self) {
         self.keyframes = self.keyframes.saturating_add(1);
+        let like = self.problem();
+        if let Some(corrected) = self.loops.add(&self.since_keyframe, self.keyframes, &self.last, &like) {
+            self.last_pose = corrected;
+        }
         self.keyframe.set(&self.last, self.last_pose);
+        self.since_keyframe = RigidMotion { about_mm: self.last_pose.about_mm, ..AT_REST };
         self.keyframe.frames = 1;
     }
 
@@ -330,6 +370,7 @@ impl MotionTracker {
             step.covariance[k][k] = if k < 3 { turn } else { shift };
         }
         let since_touch = product(&step, &self.last_pose);
+        self.since_keyframe = product(&step, &self.since_keyframe);
         self.last_pose = since_touch;
         self.answer(slip, MotionStatus::Predicted, since_touch, step)
     }
@@ -351,6 +392,7 @@ impl MotionTracker {
             determined: 0,
             contact: self.contacts,
             keyframe: self.keyframes,
+            loops: self.loops.closed,
             stuck: self.pairs.len() as u32,
             surface: 0,
             travel: Travel::default(),

@@ -26,6 +26,10 @@ pub struct MotionParams {
     /// Rolling and sliding are measured over at least this many frames, and at most twice as many. Valid: 1
     /// to 1000000. Default: `15`, half a second at 30 Hz. Raise it for slow motions.
     pub window_frames: u32,
+    /// Number of keyframes that are remembered. A surface that comes back is recognized among them, and
+    /// corrects the poses in between. Each takes 9 KB, and 300 bytes for each of the others. Valid: 0 to 64;
+    /// less than 3 close no loop. Default: `32`, two to three turns of a cylinder. Raise it for large parts.
+    pub loop_keyframes: u32,
 }
 
 impl Default for MotionParams {
@@ -36,6 +40,7 @@ impl Default for MotionParams {
             free_shift_mm: 0.3,
             surface_sigma_mm: 0.005,
             window_frames: 15,
+            loop_keyframes: 32,
         }
     }
 }
@@ -46,7 +51,8 @@ impl MotionParams {
     /// # Errors
     /// The first [`ParamsError`] found.
     pub fn validate(&self) -> Result<(), ParamsError> {
-        let Self { keyframe_share, free_turn_rad, free_shift_mm, surface_sigma_mm, window_frames } = *self;
+        let Self { keyframe_share, free_turn_rad, free_shift_mm, surface_sigma_mm, .. } = *self;
+        let Self { window_frames, loop_keyframes, .. } = *self;
         share("motion.keyframe_share", keyframe_share)?;
         let turn = (1e-6..=1.0).contains(&free_turn_rad);
         check(turn, "motion.free_turn_rad", free_turn_rad, "0.000001 to 1 rad")?;
@@ -55,6 +61,8 @@ impl MotionParams {
         let sigma = (0.0..=1.0).contains(&surface_sigma_mm);
         check(sigma, "motion.surface_sigma_mm", surface_sigma_mm, "0 to 1 mm")?;
         let frames = (1..=1_000_000).contains(&window_frames);
-        check(frames, "motion.window_frames", f64::from(window_frames), "1 to 1000000")
+        check(frames, "motion.window_frames", f64::from(window_frames), "1 to 1000000")?;
+        let loops = (0..=64).contains(&loop_keyframes);
+        check(loops, "motion.loop_keyframes", f64::from(loop_keyframes), "0 to 64")
     }
 }
