@@ -397,8 +397,8 @@ pub fn localize(
     Ok(Localization { found, model, tracking: None, misfit: None, budget })
 }
 
-/// Searches that share `half_turn_budget`.
-const HALF_TURNS: u32 = 3;
+/// Most searches with `half_turn_budget`.
+const HALF_TURNS: u32 = 6;
 
 /// Lowers the budget to the work that fits; not before this thread's pace is known.
 fn limit_budget(register: &mut RegisterParams, deadline_ms: f64) -> PyResult<()> {

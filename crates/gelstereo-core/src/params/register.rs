@@ -132,11 +132,12 @@ pub struct SurfaceSearchParams {
     /// 300. Valid: 1 to 100000000. Default: `370000`. Lower it to bound the time; raise it for contacts of
     /// more markers.
     pub budget: u32,
-    /// Work for each of three half turns of the part, about the axes of its bounding box, in the unit of
-    /// `budget` and beyond it. A pose that fits is `unsure` if the turned part explains the contact a hundred
-    /// times better. Valid: 0 to 100000000; 0 does not check. Default: `0`. Set it to 80000 where the guess
-    /// may be on a wrong face: half of the wrong poses that fit are then unsure, and so are 2 % of the
-    /// correct ones. A search takes twice as long.
+    /// Largest work for each of six half turns of the part, about the axes of its bounding box through its
+    /// centre and through the contact, in the unit of `budget` and beyond it. A pose that fits is `unsure` if
+    /// the turned part explains the contact a hundred times better; a turned part that explains it about as
+    /// well is among the alternatives. Valid: 0 to 100000000; 0 does not check. Default: `0`. Set it to 120000
+    /// where the guess may be on a wrong face: about half of the wrong poses that fit are then unsure, and so
+    /// are 1 to 2 % of the correct ones. A search takes three times as long.
     pub half_turn_budget: u32,
 }
 

@@ -35,7 +35,8 @@ pub(super) fn honour(found: &mut Registration, symmetries: &[Symmetry], guess: &
     found.alternatives = kept;
 }
 
-fn are_apart(seen: &Observability, one: &Pose, other: &Pose) -> bool {
+/// Whether two poses are distinct over the directions that the contact determines.
+pub(super) fn are_apart(seen: &Observability, one: &Pose, other: &Pose) -> bool {
     let frame = PatchFrame { centre_mm: seen.centre_mm, radius_mm: seen.radius_mm };
     seen.squared(frame.log(&(*one * other.inverse()))) > APART * APART
 }

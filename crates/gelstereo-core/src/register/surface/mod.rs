@@ -101,21 +101,12 @@ pub(super) fn run(
     rung: Rung,
     scratch: &mut SurfaceScratch,
 ) -> Result<Registration, RegisterError> {
-    let Input { params, contact, template, stop, .. } = *input;
-    let (solid, ..) = template.touchable().ok_or(RegisterError::NoSurface)?;
-    contact.check()?;
     let SurfaceScratch { raster, samples, candidates, distances, gel } = scratch;
-    samples.fill(&raster.ordered(contact, params.usual_pitch_mm()), params, rung.extent(solid));
-    let problem = input.problem(samples).ok_or(RegisterError::NoSurface)?;
-    check_reach(&problem)?;
-    distances.begin(samples);
+    let problem = input.checked(rung, raster, samples)?;
+    distances.begin(problem.samples);
     let mut search = Search::new(&problem);
-    // A stopped search counts its budget as spent, and its result is not valid.
     let conclude = |objective: &mut dyn Objective, found: &[Candidate], outcome: Outcome| {
-        if stop() {
-            return Err(RegisterError::Stopped);
-        }
-        Ok(assess::registration(&problem, objective, found, outcome))
+        concluded(&problem, objective, found, outcome)
     };
     match rung {
         Rung::Search => {
@@ -127,6 +118,50 @@ pub(super) fn run(
             conclude(&mut DistanceObjective { scratch: distances }, &candidates.best, outcome)
         }
     }
+}
+
+/// Cost of the best start of a search after screening, and its work. Costs are comparable between guesses
+/// for the same contact and part.
+pub(super) fn screen(input: &Input<'_>, scratch: &mut SurfaceScratch) -> Result<(f64, u64), RegisterError> {
+    let SurfaceScratch { raster, samples, candidates, .. } = scratch;
+    let problem = input.checked(Rung::Search, raster, samples)?;
+    let mut search = Search::new(&problem);
+    let cost = search.screen(candidates);
+    if (problem.stop)() { Err(RegisterError::Stopped) } else { Ok((cost, search.work)) }
+}
+
+/// The work of a search, and its best pose without alternatives. No pose if the cost of the best start
+/// after screening exceeds a limit.
+pub(super) fn run_promising(
+    input: &Input<'_>,
+    max_screened_cost: f64,
+    scratch: &mut SurfaceScratch,
+) -> Result<(u64, Option<Registration>), RegisterError> {
+    let SurfaceScratch { raster, samples, candidates, distances, gel } = scratch;
+    let problem = input.checked(Rung::Search, raster, samples)?;
+    let mut search = Search::new(&problem);
+    if search.screen(candidates) > max_screened_cost {
+        return Ok((search.work, None));
+    }
+    distances.begin(problem.samples);
+    let found = search.finish_best(candidates, distances, gel, |objective, found, outcome| {
+        concluded(&problem, objective, found, outcome)
+    })?;
+    Ok((found.work, Some(found)))
+}
+
+/// The result, unless the search was stopped: it then counts its budget as spent, and its result is not
+/// valid.
+fn concluded(
+    problem: &Problem<'_>,
+    objective: &mut dyn Objective,
+    found: &[Candidate],
+    outcome: Outcome,
+) -> Result<Registration, RegisterError> {
+    if (problem.stop)() {
+        return Err(RegisterError::Stopped);
+    }
+    Ok(assess::registration(problem, objective, found, outcome))
 }
 
 /// Deviation of the markers from the gel model at a pose, after the first step at which it is usual, or
@@ -147,6 +182,22 @@ pub(super) fn misfit(
 }
 
 impl<'a> Input<'a> {
+    /// With the samples of its contact, if it can be registered.
+    fn checked(
+        &self,
+        rung: Rung,
+        raster: &mut Raster,
+        samples: &'a mut Samples,
+    ) -> Result<Problem<'a>, RegisterError> {
+        let (solid, ..) = self.template.touchable().ok_or(RegisterError::NoSurface)?;
+        self.contact.check()?;
+        let usual_pitch_mm = self.params.usual_pitch_mm();
+        samples.fill(&raster.ordered(self.contact, usual_pitch_mm), self.params, rung.extent(solid));
+        let problem = self.problem(samples).ok_or(RegisterError::NoSurface)?;
+        check_reach(&problem)?;
+        Ok(problem)
+    }
+
     /// With the samples of its contact. `None` without a surface.
     fn problem(&self, samples: &'a Samples) -> Option<Problem<'a>> {
         let Self { params, contact, template, guess, stop } = *self;

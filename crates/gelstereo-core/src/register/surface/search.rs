@@ -60,8 +60,8 @@ impl Search<'_> {
         starts
     }
 
-    /// Reduces many starts to the few that are refined.
-    pub fn screen(&mut self, candidates: &mut Candidates) {
+    /// Reduces many starts to the few that are refined. Returns the cost of the best one.
+    pub fn screen(&mut self, candidates: &mut Candidates) -> f64 {
         let (params, samples) = (self.problem.params, self.problem.samples);
         let Candidates { best, runners_up } = candidates;
         best.clear();
@@ -74,6 +74,7 @@ impl Search<'_> {
         runners_up.clear();
         runners_up.extend_from_slice(best);
         keep(best, SECOND.keeps, samples.radius_mm, params.scaled(SAME_MM));
+        runners_up[0].cost
     }
 
     /// Refines and ranks the candidates by the gel where it explains the contact, otherwise by distances,
@@ -85,17 +86,44 @@ impl Search<'_> {
         gel: &mut GelFitScratch,
         conclude: impl FnOnce(&mut dyn Objective, &[Candidate], Outcome) -> T,
     ) -> T {
+        self.rank(candidates, distances, gel, |search, objective, candidates, end| {
+            let outcome = search.alternatives(objective, candidates, end);
+            conclude(objective, &candidates.best, outcome)
+        })
+    }
+
+    /// As [`Self::finish`], without alternatives.
+    pub fn finish_best<T>(
+        &mut self,
+        candidates: &mut Candidates,
+        distances: &mut RefineScratch,
+        gel: &mut GelFitScratch,
+        conclude: impl FnOnce(&mut dyn Objective, &[Candidate], Outcome) -> T,
+    ) -> T {
+        self.rank(candidates, distances, gel, |search, objective, candidates, end| {
+            let read = candidates.best[0];
+            let outcome = Outcome { end, read, is_cut: true, is_selected: true, work: search.work };
+            conclude(objective, &[read], outcome)
+        })
+    }
+
+    /// Passes the objective that ranked the candidates, and how the best one ended, to `then`.
+    fn rank<T>(
+        &mut self,
+        candidates: &mut Candidates,
+        distances: &mut RefineScratch,
+        gel: &mut GelFitScratch,
+        then: impl FnOnce(&mut Self, &mut dyn Objective, &mut Candidates, End) -> T,
+    ) -> T {
         if self.problem.samples.gel.is_known() {
             let mut by_gel = GelObjective { distances, gel };
             if let Some(end) = by_gel.rank(self, &mut candidates.best) {
-                let outcome = self.alternatives(&mut by_gel, candidates, end);
-                return conclude(&mut by_gel, &candidates.best, outcome);
+                return then(self, &mut by_gel, candidates, end);
             }
         }
         let mut by_distances = DistanceObjective { scratch: distances };
         let end = by_distances.rank(self, &mut candidates.best);
-        let outcome = self.alternatives(&mut by_distances, candidates, end);
-        conclude(&mut by_distances, &candidates.best, outcome)
+        then(self, &mut by_distances, candidates, end)
     }
 
     /// Finds the alternatives to the best pose, which ended as `end` states and is read.
