@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 
 import gelstereo as gs
-from gelstereo.datasets import DatasetError, Sample, render, write_npz, write_zarr
+from gelstereo.cli.main import main
+from gelstereo.datasets import DatasetError, Sample, render, rendering, write_npz, write_zarr
 from gelstereo.export.errors import ExportError
 from gelstereo.extras import MissingExtra
 from gelstereo.randomization import DistributionError
@@ -46,8 +47,9 @@ def assert_same(found: Sample, expected: Sample) -> None:
             assert ours[name].dtype == theirs[name].dtype and np.array_equal(ours[name], theirs[name]), name
 
 
-def test_samples_do_not_depend_on_the_workers(samples: list[Sample]) -> None:
+def test_samples_do_not_depend_on_the_workers(samples: list[Sample], monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("joblib")
+    monkeypatch.setattr(rendering, "_START_S", 0.0)
     told: list[tuple[int, int]] = []
     for workers, count in ((2, COUNT), (3, COUNT - 1)):
         found = list(
@@ -57,6 +59,65 @@ def test_samples_do_not_depend_on_the_workers(samples: list[Sample]) -> None:
         for ours, theirs in zip(found, samples, strict=False):
             assert_same(ours, theirs)
     assert told[: COUNT + 1] == [(done, COUNT) for done in range(COUNT + 1)]
+
+
+def test_a_small_set_starts_no_process(samples: list[Sample], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Starting them takes longer than the set; a long sample decides otherwise."""
+    joblib = pytest.importorskip("joblib")
+
+    class NoProcessError(Exception):
+        pass
+
+    def started(**_: object) -> None:
+        raise NoProcessError
+
+    monkeypatch.setattr(joblib, "Parallel", started)
+    for ours, theirs in zip(render(SIMULATOR, VARIED, COUNT, seed=7, workers=2), samples, strict=True):
+        assert_same(ours, theirs)
+    monkeypatch.setattr(rendering, "_START_S", 0.0)
+    with pytest.raises(NoProcessError):
+        list(render(SIMULATOR, VARIED, COUNT, seed=7, workers=2))
+
+
+def test_parts_have_their_own_wrenches() -> None:
+    """Two parts in one gel: their forces and torques add up, and each touches its own markers."""
+    finger = {
+        "indenter": {"kind": "box", "size_mm": [3.0, 2.0, 4.0]},
+        "trajectory": [{"time_s": 0.0, "position_mm": [11.0, 0.0, 30.2]}],
+    }
+    scene = {**SCENE, "gel": {}, "others": [finger]}
+    [sample] = render(gs.simulate(scene), VARIED, 1, images=False)
+    frames = sample.frames
+    count = len(frames["time_s"])
+    assert frames["part_force_n"].shape == (count, 2, 3) and frames["t_sensor_objects"].shape == (
+        count,
+        2,
+        4,
+        4,
+    )
+    np.testing.assert_allclose(frames["part_force_n"].sum(axis=1), frames["force_n"], atol=1e-9)
+    np.testing.assert_allclose(frames["part_torque_nmm"].sum(axis=1), frames["torque_nmm"], atol=1e-7)
+    touched = frames["touched_by"]
+    assert np.array_equal(touched >= 0, frames["in_contact"]) and {*np.unique(touched)} == {-1, 0, 1}
+    assert np.array_equal(frames["t_sensor_objects"][:, 0], frames["t_sensor_object"], equal_nan=True)
+
+
+@pytest.mark.parametrize("kind", ["npz", "zarr", "lerobot"])
+def test_the_command_writes_a_set(kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    if kind != "npz":
+        pytest.importorskip({"zarr": "zarr", "lerobot": "pyarrow"}[kind])
+    scene, varied = tmp_path / "scene.toml", tmp_path / "varied.toml"
+    SIMULATOR.scene.save(scene)
+    varied.write_text("[press]\ndepth_mm = { uniform = [0.3, 1.2] }\n")
+    words = ["dataset", scene, "--vary", varied, "--count", 2, "--seed", 7, "--output", tmp_path / "set"]
+    words += ["--format", kind, *([] if kind == "npz" else ["--no-images"])]
+    assert main([str(word) for word in words]) == 0
+    assert "wrote 2 samples of 2 frames" in capsys.readouterr().out
+    if kind == "npz":
+        data = np.load(tmp_path / "set" / "00000.npz")
+        expected = list(render(SIMULATOR, varied, 2, seed=7))
+        assert np.array_equal(data["left"], np.concatenate([sample.frames["left"] for sample in expected]))
+    assert main([str(word) for word in words]) == 2
 
 
 def test_a_sample_is_what_the_simulator_shows(samples: list[Sample]) -> None:

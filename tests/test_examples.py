@@ -90,6 +90,14 @@ def test_examples_of_scenes_run(words: list[str], tmp_path: Path, monkeypatch: p
     assert main(words) == 0
 
 
+@pytest.mark.parametrize("words", examples("dataset"), ids=" ".join)
+def test_examples_of_data_sets_run(words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shutil.copytree(SCENES, tmp_path / "scenes")
+    (tmp_path / "varied.toml").write_text("[press]\ndepth_mm = { uniform = [0.3, 1.2] }\n")
+    monkeypatch.chdir(tmp_path)
+    assert main(words) == 0
+
+
 def test_examples_of_calibration_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     tags = {"charuco:8x6": CharucoBoard((8, 6), 4.0, 3.0), "apriltag:6x4": AprilTagBoard((6, 4), 3.0, 1.0)}
     for board in ("9x6", *tags):

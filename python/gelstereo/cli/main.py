@@ -32,6 +32,7 @@ COMMANDS = {
     "localize": ("gelstereo.cli.localize", "a point cloud or stereo images, and a template, to a pose"),
     "template": ("gelstereo.cli.template", "a part's mesh, checked, to a template and a picture of it"),
     "simulate": ("gelstereo.cli.simulate", "a scene to stereo images with their truth"),
+    "dataset": ("gelstereo.datasets.command", "random variations of a scene to a data set for training"),
     "live": (
         "gelstereo.live.command",
         "a camera, a scene or a folder, sensed and shown while it is recorded",

@@ -36,6 +36,9 @@ class Sample:
         - ``t_sensor_object``: (T, 4, 4), of a scene with a part
         - with an elastic layer: ``traction_kpa`` (T, N, 3) and ``stick`` (T, N) uint8 (`gelstereo.Stick`),
           and the wrench ``force_n`` and ``torque_nmm`` (T, 3), about the origin of the sensor frame
+        - of a scene with P parts, more than one: ``t_sensor_objects`` (T, P, 4, 4), NaN for a part that is
+          away; ``touched_by`` (T, N) int64, the number of the part at each marker, or -1; and with an elastic
+          layer ``part_force_n`` and ``part_torque_nmm`` (T, P, 3), the wrench of each part
     rest : dict of ndarray
         ``left`` and ``right``, (H, W) uint8, and ``points_mm``, (N, 3): the same gel without contact.
     rows, cols : int
@@ -110,10 +113,19 @@ def _values(frame: SimulatedFrame, at_rest: SimulatedFrame, images: bool) -> dic
     }
     if frame.t_sensor_object is not None:
         out["t_sensor_object"] = frame.t_sensor_object
+    poses = frame.t_sensor_objects
+    if len(poses) > 1:
+        away = np.full((4, 4), np.nan)
+        out["t_sensor_objects"] = np.stack([away if pose is None else pose for pose in poses])
+        out["touched_by"] = frame.touched_by
     loads = frame.loads
     if loads is not None:
         # The torque about another point differs by the moment of the force.
         torque_nmm = loads.torque_nmm + np.cross(loads.about_mm, loads.force_n)
         out |= {"traction_kpa": loads.traction_kpa, "stick": loads.stick}
         out |= {"force_n": loads.force_n, "torque_nmm": torque_nmm}
+        if len(poses) > 1:
+            moment_nmm = np.cross(loads.about_mm, loads.part_force_n)
+            out["part_force_n"] = loads.part_force_n
+            out["part_torque_nmm"] = loads.part_torque_nmm + moment_nmm
     return out
