@@ -119,7 +119,9 @@ proptest! {
 
     /// The same of a sheared print whose rows and columns look whole: a parallelogram.
     #[test]
-    fn row_52_a_parallelogram_of_hexagons_is_no_square_print(look in looks(180.0, 0.92), seed in any::<u64>()) {
+    fn row_52_a_parallelogram_of_hexagons_is_no_square_print(
+        look in looks(180.0, 0.92), seed in any::<u64>(),
+    ) {
         let cells: Vec<DVec2> = (0..144)
             .map(|i| {
                 let (row, col) = (f64::from(i / 12) - 5.5, f64::from(i % 12) - 5.5);
