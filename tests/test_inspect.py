@@ -149,10 +149,10 @@ def test_drawn_prints(kind: str, contrast: int, bright: bool, radius: float, tur
     assert found.dot_px == pytest.approx(2.0 * radius, abs=1.5)
     assert found.contrast == pytest.approx(contrast, rel=0.2)
     assert found.noise == pytest.approx(2.0, rel=0.2)
-    if kind == "square":
-        assert found.settings_result == "labels 9 rows x 10 columns"
-    else:
-        assert "lattice.rows" not in found.settings or kind == "rectangular"
+    assert found.settings_result == "labels 9 rows x 10 columns"
+    assert found.settings.get("lattice.layout", "square") == (
+        "hexagonal" if kind == "hexagonal" else "square"
+    )
 
 
 def test_a_coloured_print_names_its_channel() -> None:

@@ -119,9 +119,7 @@ proptest! {
 
     /// The same of a sheared print whose rows and columns look whole: a parallelogram.
     #[test]
-    fn row_52_a_parallelogram_of_hexagons_is_no_square_print(
-        look in looks(180.0, 0.92), seed in any::<u64>(),
-    ) {
+    fn row_52_a_parallelogram_is_no_square(look in looks(180.0, 0.92), seed in any::<u64>()) {
         let cells: Vec<DVec2> = (0..144)
             .map(|i| {
                 let (row, col) = (f64::from(i / 12) - 5.5, f64::from(i % 12) - 5.5);
@@ -152,6 +150,24 @@ proptest! {
 
 fn in_view(points: &[DVec2]) -> Vec<DVec2> {
     points.iter().copied().filter(|p| p.x > 6.0 && p.y > 6.0 && p.x < 634.0 && p.y < 474.0).collect()
+}
+
+/// Dots beside the print's own hide none of these.
+#[test]
+fn specks_take_no_place() {
+    for seed in 0..40 {
+        let look = Look { degrees: 5.0, squeeze: 0.95, squeezed_degrees: 20.0, perspective: 0.1 };
+        let mut points = seen(&print(12, 14, true), look, seed);
+        let mut stream = Stream::new(seed, "specks");
+        let (low, high) = points.iter().fold((points[0], points[0]), |(l, h), &p| (l.min(p), h.max(p)));
+        let specks = (0..5).map(|_| low + (high - low) * DVec2::new(stream.uniform(), stream.uniform()));
+        let far = |speck: &DVec2| points.iter().all(|p| p.distance(*speck) > 0.4 * PITCH_PX);
+        let specks: Vec<DVec2> = specks.filter(far).collect();
+        points.extend(specks);
+        let found = label(&points, &hexagonal()).unwrap();
+        assert_eq!((found.rows, found.cols), (12, 14), "{seed}");
+        assert!(found.detection.iter().flatten().all(|&m| m < 168), "{seed}");
+    }
 }
 
 /// Prints whose rows have a marker less in turn: the missing places are filled in.

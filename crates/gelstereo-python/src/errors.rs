@@ -165,7 +165,7 @@ impl ToPython for core::pipeline::PipelineError {
             E::Params(_) | E::Pitch { .. } => ParamsError::new_err(text),
             E::Size { .. } => ImageError::new_err(text),
             E::Detect { .. } => DetectError::new_err(text),
-            E::Label { .. } | E::Lattices { .. } => LabelError::new_err(text),
+            E::Label { .. } | E::Lattices { .. } | E::Views { .. } => LabelError::new_err(text),
             E::Triangulate(core::triangulate::TriangulateError::Rig(_)) => RigError::new_err(text),
             E::Triangulate(_) | E::Epipolar { .. } => TriangulateError::new_err(text),
             E::Force(error) => error.to_python(),

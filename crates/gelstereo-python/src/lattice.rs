@@ -5,6 +5,7 @@ use crate::errors::{LabelError, raise};
 use crate::params::Params;
 use gelstereo_core::lattice as core;
 use gelstereo_core::math::DVec2;
+use numpy::{PyArray1, PyArray2, PyArrayMethods as _};
 use pyo3::prelude::*;
 
 /// Largest number of rows or columns, as in `LatticeParams`.
@@ -39,6 +40,85 @@ impl RestLattice {
     fn __repr__(&self) -> String {
         format!("<RestLattice: {} rows, {} columns, {:.2} px apart>", self.rows, self.cols, self.pitch_px)
     }
+}
+
+/// How the markers in an image are laid out.
+#[pyclass(frozen, module = "gelstereo")]
+pub struct PrintDescription {
+    /// ``"square"``, ``"rectangular"``, ``"hexagonal"`` or ``"irregular"``.
+    #[pyo3(get)]
+    kind: &'static str,
+    /// (2, 2) mean steps along a row, and to the next row, pixels.
+    #[pyo3(get)]
+    steps_px: Matrix,
+    /// Angle between both steps, from 0 to 90 degrees.
+    #[pyo3(get)]
+    angle_deg: f64,
+    /// Share of the markers that are on the lattice.
+    #[pyo3(get)]
+    on_lattice: f64,
+    /// Rows that are seen; 0 if none are known.
+    #[pyo3(get)]
+    rows: usize,
+    /// Columns that are seen.
+    #[pyo3(get)]
+    cols: usize,
+    /// Share of the places of these rows and columns that show a marker.
+    #[pyo3(get)]
+    filled: f64,
+    /// The same of the upper row, the lower row, the left column and the right column.
+    #[pyo3(get)]
+    borders: (f64, f64, f64, f64),
+    /// (N, 2) row and column of every marker; -1 off the lattice.
+    #[pyo3(get)]
+    places: Py<PyArray2<i64>>,
+}
+
+#[pymethods]
+impl PrintDescription {
+    fn __repr__(&self) -> String {
+        format!("<PrintDescription: {}, {} rows, {} columns>", self.kind, self.rows, self.cols)
+    }
+}
+
+/// Describe how the markers in an image are laid out, whatever `lattice.layout` is.
+///
+/// Neighbouring markers are compared with those beside them, so perspective, a bent gel and a turned camera
+/// do not matter.
+///
+/// Parameters
+/// ----------
+/// detected_px : (N, 2) array_like
+///
+/// Returns
+/// -------
+/// PrintDescription
+#[pyfunction]
+pub fn describe_print(py: Python<'_>, detected_px: &Bound<'_, PyAny>) -> PyResult<PrintDescription> {
+    let detected = Numbers::new(detected_px, "detected_px")?;
+    let detected = detected.rows::<DVec2, 2>()?;
+    let found = py.detach(|| core::PrintDescription::of(detected));
+    let place = |place: &Option<core::Place>| {
+        place.map_or([-1, -1], |core::Place { row, col }| [i64::from(row), i64::from(col)])
+    };
+    let places: Vec<i64> = found.places.iter().flat_map(place).collect();
+    let count = found.places.len();
+    Ok(PrintDescription {
+        kind: match found.kind {
+            core::LayoutKind::Square => "square",
+            core::LayoutKind::Rectangular => "rectangular",
+            core::LayoutKind::Hexagonal => "hexagonal",
+            core::LayoutKind::Irregular => "irregular",
+        },
+        angle_deg: found.angle_deg(),
+        steps_px: arrays::rows::<_, 2>(py, found.steps_px.to_vec())?,
+        on_lattice: found.on_lattice,
+        rows: found.rows,
+        cols: found.cols,
+        filled: found.filled,
+        borders: found.borders.into(),
+        places: PyArray1::from_vec(py, places).reshape([count, 2])?.unbind(),
+    })
 }
 
 /// Foresight sort (the paper's Algorithm 1): the order of markers row by row, left to right.

@@ -79,7 +79,7 @@ mod _native {
     #[pymodule_export]
     use crate::gripper::{GripperDriver, GripperStatus};
     #[pymodule_export]
-    use crate::lattice::{RestLattice, foresight_sort, rest_lattice};
+    use crate::lattice::{PrintDescription, RestLattice, describe_print, foresight_sort, rest_lattice};
     #[pymodule_export]
     use crate::layer::{LayerContact, LayerSolution};
     #[pymodule_export]

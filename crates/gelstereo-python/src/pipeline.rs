@@ -171,6 +171,13 @@ impl Pipeline {
         py.detach(|| self.lock().pitch_check()).map(|inner| PitchCheck { inner })
     }
 
+    /// (above, right, below, left) rows or columns beyond the labelled ones that a view shows at rest: those
+    /// that are not whole in both views, and those beyond ``lattice.rows`` and ``lattice.cols``.
+    #[getter]
+    fn left_out(&self, py: Python<'_>) -> (usize, usize, usize, usize) {
+        py.detach(|| self.lock().left_out()).into()
+    }
+
     /// Channel of the images in which markers are searched: ``"grey"``, ``"red"``, ``"green"`` or ``"blue"``.
     /// With ``detect.channel = "auto"``, the left image of the first frame determines it until `reset`; None
     /// before.

@@ -87,7 +87,7 @@ class Inspection:
             f"{self.contrast:.0f} levels{others}",
             f"layout    {_layout_in_words(self.layout)}",
         ]
-        if self.layout.kind != "irregular":
+        if self.layout.rows:
             lines.append(f"lattice   {_lattice_in_words(self.layout)}")
             lines.append(
                 f"shape     {self.layout.bend_px:.1f} px rms from a plane seen in perspective; largest step "
@@ -210,7 +210,9 @@ class _Print:
         ):
             settings["detect.min_area_px2"] = max(int(area / _SAME_AREA), 1)
             settings["detect.max_area_px2"] = int(area * _SAME_AREA) + 1
-        if self.layout.kind in ("square", "rectangular") and self.layout.is_whole:
+        if self.layout.kind == "hexagonal":
+            settings["lattice.layout"] = "hexagonal"
+        if self.layout.kind != "irregular" and self.layout.is_whole:
             settings["lattice.rows"], settings["lattice.cols"] = self.layout.rows, self.layout.cols
         return settings
 

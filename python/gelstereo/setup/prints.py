@@ -57,9 +57,9 @@ def look(plan: Plan) -> Step:
         ]
         if seen.contrast < MIN_CONTRAST * seen.noise:
             doubts.append(f"the dots of the {view} view are faint: use more light or a longer exposure")
-        if layout.kind not in ("square", "rectangular"):
+        if layout.kind == "irregular":
             doubts.append(
-                f"the print of the {view} view is {layout.kind}, and the pipeline needs rows and columns: "
+                f"the print of the {view} view is irregular, and the pipeline needs rows and columns: "
                 "gelstereo.scattered takes any layout"
             )
         elif not layout.is_whole:

@@ -3,8 +3,8 @@
 //! Two steps a and b of a lattice are the complex number z = b / a, up to the choice of the steps (the
 //! modular group) and the lattice's size and turn. An affine map whose larger stretch is e^d times the
 //! smaller one moves z by d in the hyperbolic plane. So the distance of z from a layout is the logarithm of
-//! the stretch that a view must have for a print of that layout. Tilted by 40 degrees, a square print may look like a
-//! hexagonal one that is tilted as much: there both are 0.27 away.
+//! the stretch that a view must have for a print of that layout. Tilted by 40 degrees, a square print may
+//! look like a hexagonal one that is tilted as much: there both are 0.27 away.
 
 use super::found::{Place, Sites};
 use crate::math::{DVec2, cosh, median, round, sqrt};

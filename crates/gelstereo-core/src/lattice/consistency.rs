@@ -43,6 +43,8 @@ pub(super) struct Consistency {
     pub dropped: usize,
     /// Largest remaining distance.
     pub worst: f64,
+    /// Slant of regular cells beyond `REGULAR_SLANT`, for a first look at a hexagonal lattice.
+    pub more_slant: f64,
 }
 
 /// Detections that will lose their place, without duplicates, in order of insertion.
@@ -197,7 +199,8 @@ impl Consistency {
             let mut regular = true;
             grid.visit(points[m], reach, |n| {
                 regular &= !near(n)
-                    || (self.off[n] < REGULAR_OFF && slant(points, detection_grid, n) < REGULAR_SLANT);
+                    || (self.off[n] < REGULAR_OFF
+                        && slant(points, detection_grid, n) < REGULAR_SLANT + self.more_slant);
             });
             if !regular {
                 grid.visit(points[m], reach, |n| {

@@ -111,6 +111,25 @@ impl Sites {
         Self { rows, cols, detection: alloc::vec![None; rows * cols], is_offset: false }
     }
 
+    /// The same places with other detections.
+    pub(super) fn map(&self, detection: impl Fn(usize) -> Option<usize>) -> Self {
+        let one = |m: &Option<u32>| m.and_then(|m| detection(m as usize)).map(|m| m as u32);
+        Self { detection: self.detection.iter().map(one).collect(), ..*self }
+    }
+
+    /// The same places after quarter turns, as in [`Place::turned`].
+    pub(super) fn turned(&self, quarter_turns: u8) -> Self {
+        let is_upright = quarter_turns.is_multiple_of(2);
+        let (rows, cols) = if is_upright { (self.rows, self.cols) } else { (self.cols, self.rows) };
+        let mut out = Self::empty(rows, cols);
+        let far = Place::new(self.rows as i32 - 1, self.cols as i32 - 1).turned(quarter_turns);
+        for place in self.places() {
+            let to = place.turned(quarter_turns);
+            out.set(to.step((-far.row.min(0), -far.col.min(0))), self.at(place));
+        }
+        out
+    }
+
     /// Sets or clears the detection at an existing place.
     pub(super) fn set(&mut self, place: Place, detection: Option<usize>) {
         self.detection[place.row as usize * self.cols + place.col as usize] = detection.map(|m| m as u32);

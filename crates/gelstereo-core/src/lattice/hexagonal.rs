@@ -6,9 +6,12 @@
 use super::found::{FoundLattice, Place, Sites};
 use crate::math::{DVec2, abs};
 use alloc::vec::Vec;
+use core::ops::Range;
 
-/// Two directions of rows that fill their rectangles alike, to this share, are told by the image's upright.
-const EQUALLY_FULL: f64 = 0.05;
+/// Share of its places that a print's own rows and columns fill, up to missing markers. Rows along another
+/// direction fill 0.54 of a square print, and less of a longer one. Of a print that is wider than the view,
+/// none may be this full: then the rows that are most nearly level are taken.
+const FULL: f64 = 0.85;
 
 /// An outer row or column with fewer than this share of its markers does not count for how full a rectangle
 /// is.
@@ -23,8 +26,12 @@ const UPRIGHT: f64 = 0.087;
 
 /// A hexagonal lattice with places along its rows (columns) and down to the right (rows).
 #[derive(Clone, Debug)]
-pub(crate) struct HexagonalSites {
+pub(super) struct HexagonalSites {
     pub sites: Sites,
+    /// Mean step along a row, pixels.
+    pub row_step_px: DVec2,
+    /// Mean step down to the right, pixels.
+    pub next_row_px: DVec2,
     /// Whether odd rows start half a pitch ahead of even ones.
     pub odd_rows_forward: bool,
 }
@@ -44,20 +51,20 @@ impl HexagonalSites {
                 None => row.x > UPRIGHT || (abs(row.x) <= UPRIGHT && row.y > 0.0),
             }
         };
-        let mut best: Option<(f64, f64, Self)> = None;
+        let mut best: Option<((bool, f64), Self)> = None;
         for k in (0..6).filter(is_wanted) {
-            let upright = abs(in_image(steps[k]).normalize_or_zero().x);
+            let row_step_px = in_image(steps[k]);
             let sites = along_rows(found, steps[k], steps[(k + 1) % 6]);
             let [forward, backward] = [true, false].map(|forward| fullness(&offset(&sites, forward)));
             let (full, odd_rows_forward) = (forward.max(backward), forward >= backward);
-            let is_better = best.as_ref().is_none_or(|&(most, level, _)| {
-                full > most + EQUALLY_FULL || (abs(full - most) <= EQUALLY_FULL && upright > level)
-            });
-            if is_better {
-                best = Some((full, upright, Self { sites, odd_rows_forward }));
+            let level = abs(row_step_px.normalize_or_zero().x);
+            let key = (full >= FULL, if full >= FULL { full } else { level });
+            if best.as_ref().is_none_or(|(most, _)| key > *most) {
+                let next_row_px = in_image(steps[(k + 1) % 6]);
+                best = Some((key, Self { sites, row_step_px, next_row_px, odd_rows_forward }));
             }
         }
-        best.map(|(_, _, named)| named)
+        best.map(|(_, named)| named)
     }
 }
 
@@ -99,41 +106,51 @@ fn sites_of(placed: Vec<(Place, usize)>) -> Sites {
 }
 
 /// Rows and columns of a print with shifted rows, from places down to the right. Row numbers stay.
-pub(crate) fn offset(sites: &Sites, odd_rows_forward: bool) -> Sites {
+pub(super) fn offset(sites: &Sites, odd_rows_forward: bool) -> Sites {
     let half = |row: i32| if odd_rows_forward { row / 2 } else { (row + 1) / 2 };
-    let places = sites
-        .places()
-        .filter_map(|place| Some((Place::new(place.row, place.col + half(place.row)), sites.at(place)?)));
-    let mut shown = sites_of(places.collect());
+    let col = |place: Place| place.col + half(place.row);
+    let seen = || sites.places().filter_map(|place| Some((place, sites.at(place)?)));
+    let first = seen().map(|(place, _)| col(place)).min().unwrap_or(0);
+    let last = seen().map(|(place, _)| col(place)).max().unwrap_or(-1);
+    let mut shown = Sites::empty(sites.rows, (last - first + 1).max(0) as usize);
+    for (place, m) in seen() {
+        shown.set(Place::new(place.row, col(place) - first), Some(m));
+    }
     shown.is_offset = true;
     shown
 }
 
 /// Share of the places that are seen, without outer rows and columns of strays.
 fn fullness(sites: &Sites) -> f64 {
-    let (mut low, mut high) = ((0, 0), (sites.rows as i32, sites.cols as i32));
-    let seen = |rows: core::ops::Range<i32>, cols: core::ops::Range<i32>| {
-        let all = rows.flat_map(|row| cols.clone().map(move |col| Place::new(row, col)));
-        let (mut seen, mut count) = (0.0, 0.0);
-        for place in all {
-            seen += if sites.at(place).is_some() { 1.0 } else { 0.0 };
-            count += 1.0;
-        }
-        if count > 0.0 { seen / count } else { 0.0 }
-    };
-    while low.0 < high.0 && low.1 < high.1 {
-        let (rows, cols) = (low.0..high.0, low.1..high.1);
-        if seen(low.0..low.0 + 1, cols.clone()) < STRAYS {
-            low.0 += 1;
-        } else if seen(high.0 - 1..high.0, cols.clone()) < STRAYS {
-            high.0 -= 1;
-        } else if seen(rows.clone(), low.1..low.1 + 1) < STRAYS {
-            low.1 += 1;
-        } else if seen(rows.clone(), high.1 - 1..high.1) < STRAYS {
-            high.1 -= 1;
+    let (rows, cols) = without_strays(sites);
+    seen_share(sites, rows, cols)
+}
+
+/// Rows and columns without outer ones of strays.
+pub(super) fn without_strays(sites: &Sites) -> (Range<i32>, Range<i32>) {
+    let (mut rows, mut cols) = (0..sites.rows as i32, 0..sites.cols as i32);
+    let is_stray = |rows: Range<i32>, cols: Range<i32>| seen_share(sites, rows, cols) < STRAYS;
+    while !rows.is_empty() && !cols.is_empty() {
+        if is_stray(rows.start..rows.start + 1, cols.clone()) {
+            rows.start += 1;
+        } else if is_stray(rows.end - 1..rows.end, cols.clone()) {
+            rows.end -= 1;
+        } else if is_stray(rows.clone(), cols.start..cols.start + 1) {
+            cols.start += 1;
+        } else if is_stray(rows.clone(), cols.end - 1..cols.end) {
+            cols.end -= 1;
         } else {
-            return seen(rows, cols);
+            return (rows, cols);
         }
     }
-    0.0
+    (0..0, 0..0)
+}
+
+fn seen_share(sites: &Sites, rows: Range<i32>, cols: Range<i32>) -> f64 {
+    let (mut seen, mut count) = (0.0, 0.0);
+    for place in rows.flat_map(|row| cols.clone().map(move |col| Place::new(row, col))) {
+        seen += if sites.at(place).is_some() { 1.0 } else { 0.0 };
+        count += 1.0;
+    }
+    if count > 0.0 { seen / count } else { 0.0 }
 }

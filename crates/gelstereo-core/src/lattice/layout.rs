@@ -7,7 +7,7 @@ use alloc::vec::Vec;
 /// Largest number of markers whose neighbours are examined. It bounds the work.
 const MAX_SAMPLED: usize = 256;
 /// Smallest number of markers with a layout: three rows of three.
-const MIN_MARKERS: usize = 9;
+pub(super) const MIN_MARKERS: usize = 9;
 /// Nearest neighbours considered per marker.
 const NEAREST: usize = 6;
 /// A cell is hexagonal if its longer side and its shorter diagonal are at most this long, in shorter sides.
@@ -104,6 +104,16 @@ fn two_axes(steps: &[DVec2; NEAREST]) -> Option<(f64, f64)> {
         |step: DVec2| abs(first.dot(step)) < 0.3 * sqrt(first.length_squared() * step.length_squared());
     let second = steps.iter().copied().find(|&step| across(step))?;
     Some((first.length(), second.length()))
+}
+
+/// Median distance of a marker from its nearest neighbour.
+pub(super) fn usual_distance(points: &[DVec2]) -> Option<f64> {
+    if points.len() < 2 || points.iter().any(|point| !point.is_finite()) {
+        return None;
+    }
+    let stride = points.len().div_ceil(MAX_SAMPLED);
+    let distance = |centre: usize| nearest(points, centre)[0].length();
+    median(&mut (0..points.len()).step_by(stride).map(distance).collect::<Vec<f64>>())
 }
 
 impl Layout {

@@ -7,7 +7,9 @@ mod anchor;
 mod beyond;
 mod bounds;
 mod cells;
+mod common;
 mod consistency;
+mod described;
 mod detection_grid;
 mod extrapolate;
 mod fill;
@@ -24,6 +26,8 @@ mod view_lattice;
 mod window;
 
 pub use anchor::{Anchor, AnchorEvidence, anchor};
+pub(crate) use common::{SharedCell, Shift, TwoViews};
+pub use described::{LayoutKind, PrintDescription};
 pub use finder::LatticeFinder;
 pub use foresight::foresight_sort;
 pub use found::{FoundLattice, Place, Side, Sites};
@@ -31,6 +35,7 @@ pub use layout::Layout;
 pub(crate) use rest::rest_lattice_by;
 pub use rest::{rest_lattice, rest_lattice_of};
 pub use topology::{MAX_NEIGHBOURS, Topology};
+pub(crate) use view_lattice::ViewLattice;
 
 use crate::math::DVec2;
 use crate::params::PrintLayout;

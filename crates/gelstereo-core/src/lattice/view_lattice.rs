@@ -9,7 +9,7 @@ use super::hexagonal_rest;
 use super::layout::{Layout, MIN_RECTANGULAR};
 use super::window::{Chosen, PartialBorders, Window};
 use super::{LabelError, LatticeFinder, RestLattice, Topology, check_regular};
-use crate::math::{DVec2, median};
+use crate::math::{DVec2, atan2, median, round};
 use crate::params::{LatticeParams, PrintLayout};
 use crate::spatial::Grid;
 use alloc::vec::Vec;
@@ -20,14 +20,16 @@ pub(crate) struct ViewLattice {
     /// The first `whole` are whole markers; the others only show that a marker exists.
     detected_px: Vec<DVec2>,
     whole: usize,
-    places: Places,
+    pub(super) places: Places,
     shape: CellShape,
+    /// Mean steps along the rows and the columns that were found first, pixels.
+    steps_px: [DVec2; 2],
     /// Median distance of neighbours, pixels.
     pitch_px: f64,
 }
 
 #[derive(Clone, Debug)]
-enum Places {
+pub(super) enum Places {
     Square(Sites),
     Hexagonal(HexagonalSites),
 }
@@ -43,8 +45,12 @@ impl ViewLattice {
         other_row_px: Option<DVec2>,
     ) -> Result<Self, LabelError> {
         let mut found = FoundLattice::default();
-        finder.run_with_specks(&detected_px, &mut found)?;
+        match layout {
+            PrintLayout::Square => finder.run_with_specks(&detected_px, &mut found)?,
+            PrintLayout::Hexagonal => finder.run_slanted(&detected_px, &mut found)?,
+        }
         let none = || LabelError::NoLattice { found: detected_px.len() };
+        let steps_px = [found.row_step_px, found.col_step_px];
         let shape = CellShape::usual(&found.sites(), &detected_px).ok_or_else(none)?;
         let places = match layout {
             PrintLayout::Square => {
@@ -60,11 +66,42 @@ impl ViewLattice {
                 Places::Hexagonal(named.ok_or_else(none)?)
             }
         };
-        let mut view = Self { pitch_px: found.pitch_px, detected_px, whole, places, shape };
+        let mut view = Self { pitch_px: found.pitch_px, detected_px, whole, places, shape, steps_px };
         if layout == PrintLayout::Hexagonal {
             view.pitch_px = view.median_step_px().ok_or(LabelError::NoLattice { found: whole })?;
         }
         Ok(view)
+    }
+
+    /// Direction of the rows in the image, if the print is hexagonal.
+    pub const fn hexagonal_row_px(&self) -> Option<DVec2> {
+        match &self.places {
+            Places::Square(_) => None,
+            Places::Hexagonal(named) => Some(named.row_step_px),
+        }
+    }
+
+    /// With rows in the direction of another view's rows. A hexagonal print has them already.
+    #[must_use]
+    pub fn turned_like(self, other: &Self) -> Self {
+        let Places::Square(sites) = &self.places else { return self };
+        let angle_deg = |[row, col]: [DVec2; 2]| {
+            let (a, b) = (row.normalize_or_zero(), col.normalize_or_zero());
+            atan2(a.y - b.x, a.x + b.y).to_degrees()
+        };
+        let off_deg = angle_deg(other.steps_px) - angle_deg(self.steps_px);
+        let turns = (round(off_deg / 90.0) as i32).rem_euclid(4) as u8;
+        Self { places: Places::Square(sites.turned(turns)), ..self }
+    }
+
+    /// Centres of the detections, pixels.
+    pub fn detected_px(&self) -> &[DVec2] {
+        &self.detected_px
+    }
+
+    /// Median distance of neighbours, pixels.
+    pub const fn pitch_px(&self) -> f64 {
+        self.pitch_px
     }
 
     /// Chooses rows and columns, and completes them.
@@ -75,31 +112,38 @@ impl ViewLattice {
         borders: PartialBorders,
     ) -> Result<RestLattice, LabelError> {
         let sites = self.sites();
-        let hexagonal = |is_whole| {
-            let is_other = lattice.layout == PrintLayout::Square && self.shape.is_hexagonal(is_whole);
-            is_other.then_some(LabelError::Layout {
-                found: self.detected_px.len(),
-                layout: Layout::Hexagonal,
-                expected: lattice.layout,
-            })
+        let whole = Window::choose(&sites, self.whole, lattice, PartialBorders::Refuse);
+        // The sheared cells of a hexagonal print would pass for a lattice with incomplete borders.
+        self.check_shape(lattice, whole.is_ok())?;
+        let chosen = match (whole, borders) {
+            (Err(_), PartialBorders::LeaveOut) => Window::choose(&sites, self.whole, lattice, borders)?,
+            (whole, _) => whole?,
         };
-        let chosen = match Window::choose(&sites, self.whole, lattice, PartialBorders::Refuse) {
-            Ok(chosen) => hexagonal(true).map_or(Ok(chosen), Err),
-            Err(error) => match (hexagonal(false), borders) {
-                // The sheared cells of a hexagonal print would pass for a lattice with incomplete borders.
-                (Some(other), _) => Err(other),
-                (None, PartialBorders::Refuse) => Err(error),
-                (None, PartialBorders::LeaveOut) => Window::choose(&sites, self.whole, lattice, borders),
-            },
-        }?;
-        self.complete(&sites, &chosen, max_off_pitches)
+        self.complete(&sites, &chosen, self.odd_rows_forward(), max_off_pitches)
+    }
+
+    /// Names the layout if the print is hexagonal but should not be.
+    pub(super) fn check_shape(&self, lattice: &LatticeParams, is_whole: bool) -> Result<(), LabelError> {
+        let is_other = lattice.layout == PrintLayout::Square && self.shape.is_hexagonal(is_whole);
+        let (found, expected) = (self.detected_px.len(), lattice.layout);
+        let other = LabelError::Layout { found, layout: Layout::Hexagonal, expected };
+        if is_other { Err(other) } else { Ok(()) }
+    }
+
+    /// How odd rows of a hexagonal print stand to even ones.
+    pub(super) const fn odd_rows_forward(&self) -> Option<bool> {
+        match &self.places {
+            Places::Square(_) => None,
+            Places::Hexagonal(named) => Some(named.odd_rows_forward),
+        }
     }
 
     /// The rows and columns of a rectangle, checked, with undetected markers filled in.
-    fn complete(
+    pub(super) fn complete(
         &self,
         sites: &Sites,
         chosen: &Chosen,
+        odd_rows_forward: Option<bool>,
         max_off_pitches: f64,
     ) -> Result<RestLattice, LabelError> {
         let max_px = max_off_pitches * self.pitch_px;
@@ -110,14 +154,14 @@ impl ViewLattice {
         let detection: Vec<Option<u32>> = taken.iter().map(|d| d.filter(is_whole)).collect();
         let at: Vec<Option<DVec2>> =
             detection.iter().map(|d| d.map(|m| self.detected_px[m as usize])).collect();
-        let positions_px = match &self.places {
-            Places::Square(_) => {
+        let positions_px = match odd_rows_forward {
+            None => {
                 check_regular(rows, cols, max_px, |r, c| at[r * cols + c])?;
                 Partial { rows, cols, at }.filled()
             }
-            Places::Hexagonal(named) => {
+            Some(forward) => {
                 // A first row that is odd in all rows found turns forward into backward.
-                let forward = named.odd_rows_forward != (window.top() % 2 == 1);
+                let forward = forward != (window.top() % 2 == 1);
                 let topology = Topology::hexagonal(rows, cols, forward);
                 hexagonal_rest::check(topology, &at, max_px)?;
                 hexagonal_rest::filled(topology, at)
@@ -168,7 +212,7 @@ fn other_layout(found: &FoundLattice, points: &[DVec2], expected: PrintLayout) -
 
 /// The points after the affine map that makes the mean steps of a lattice equal and square on each other. The
 /// finder's limits are those of such lattices.
-fn at_right_angles(found: &FoundLattice, points: &[DVec2]) -> Vec<DVec2> {
+pub(super) fn at_right_angles(found: &FoundLattice, points: &[DVec2]) -> Vec<DVec2> {
     let (row, col) = (found.row_step_px, found.col_step_px);
     let area = row.perp_dot(col);
     let map = |at: DVec2| DVec2::new(at.perp_dot(col), row.perp_dot(at)) * (found.pitch_px / area);

@@ -4,6 +4,7 @@ use super::LabelError;
 use super::found::{Place, Sites};
 use crate::params::LatticeParams;
 use core::cmp::Reverse;
+use core::ops::Range;
 
 /// A border row or column of at least this length with a single detection consists of false detections.
 /// So does any row with at most one place in twelve detected. In a shorter row, one detection may be the
@@ -185,6 +186,14 @@ impl Window {
     const fn off_middle(&self, other: &Self) -> usize {
         (self.top + self.bottom).abs_diff(other.top + other.bottom)
             + (self.left + self.right).abs_diff(other.left + other.right)
+    }
+
+    /// Rows and columns of these ranges beside this rectangle: above, right, below, left.
+    pub fn beside_in(&self, rows: &Range<i32>, cols: &Range<i32>) -> [usize; 4] {
+        let count = |from: usize, to: usize| to.saturating_sub(from);
+        let [top, bottom, left, right] =
+            [rows.start, rows.end, cols.start, cols.end].map(|n| n.max(0) as usize);
+        [count(top, self.top), count(self.right, right), count(self.bottom, bottom), count(left, self.left)]
     }
 
     /// Rows and columns of this rectangle beside a smaller one: above, right, below, left.

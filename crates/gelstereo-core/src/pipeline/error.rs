@@ -53,6 +53,13 @@ pub enum PipelineError {
         /// Rows and columns found in the right view.
         right: (usize, usize),
     },
+    /// Both views show a part of the lattice, and which markers are the same is not clear.
+    Views {
+        /// Pitch along rows and along columns for the two likeliest assignments, millimetres.
+        nearest_mm: [Option<[f64; 2]>; 2],
+        /// Configured pitch.
+        expected: Pitch,
+    },
     /// A record of a rest frame is invalid, or from another pipeline.
     Record(RestRecordError),
     /// The rest frame's rows disagree between the views.
@@ -93,6 +100,23 @@ impl core::fmt::Display for PipelineError {
                  see the whole lattice",
                 left.0, left.1, right.0, right.1
             ),
+            Self::Views { nearest_mm, expected } => {
+                write!(f, "neither view shows a whole border of the lattice, and ")?;
+                match nearest_mm {
+                    [Some([x, y]), second] => {
+                        write!(f, "the pitch would be [{x:.4}, {y:.4}] mm")?;
+                        if let Some([x, y]) = second {
+                            write!(f, " or [{x:.4}, {y:.4}] mm")?;
+                        }
+                    }
+                    _ => write!(f, "no columns of both agree in their rows")?,
+                }
+                write!(
+                    f,
+                    ", while lattice.pitch_mm is {expected}: set it to 1 %, check the rig and its layers, or \
+                     let both cameras see the whole lattice"
+                )
+            }
             Self::Epipolar { median_px, max_px } => write!(
                 f,
                 "the rows of the two views disagree by {median_px:.2} px in the median; valid is at most \

@@ -2,11 +2,13 @@
 
 mod bent;
 mod centres;
+mod common_rest;
 mod discs;
 mod epipolar;
 mod error;
 mod frame;
 mod heights;
+mod label_rest;
 mod marker_tracker;
 mod pace;
 mod pitch;
@@ -29,7 +31,7 @@ use crate::contact::{self, ContactDetector, ContactRule, Decay, MarkerHeights, R
 use crate::detect::DetectError;
 use crate::force::{ForceEstimator, MovedMarkers};
 use crate::image::GrayView;
-use crate::lattice::{LatticeFinder, Topology};
+use crate::lattice::Topology;
 use crate::math::linalg::Symmetric;
 use crate::math::{DVec2, DVec3};
 use crate::params::{DiscBias, ForceMethod, Params, SlipMethod};
@@ -53,6 +55,7 @@ pub struct Pipeline {
     rest: Option<RestSurface>,
     /// Of the print, since the rest frame.
     topology: Topology,
+    left_out: [usize; 4],
     /// With `lattice.depth_mm` above 0, since the rest frame.
     skin: Option<Skin>,
     contact: ContactDetector,
@@ -97,6 +100,7 @@ impl Pipeline {
             right: ViewStages::new(View::Right, size(&rig.right), params),
             rest: None,
             topology: Topology::default(),
+            left_out: [0; 4],
             skin: None,
             contact: ContactDetector::new(&params.contact),
             force: None,
@@ -166,6 +170,7 @@ impl Pipeline {
         self.skin = None;
         self.force = None;
         self.slip = None;
+        self.left_out = [0; 4];
         self.contact.forget();
         self.epipolar = Epipolar::default();
         self.frames = 0;
@@ -264,16 +269,11 @@ impl Pipeline {
 
     /// Processes the rest frame: here a pair without a point is an error.
     fn start(&mut self, out: &mut Frame) -> Result<(), PipelineError> {
-        let mut finder = LatticeFinder::default();
-        let left_rest = self.left.start(&self.params, &mut finder, None)?;
-        self.right.start(&self.params, &mut finder, Some(&left_rest))?;
-        drop(finder);
-        let side = |view: &ViewStages| (view.rows, view.cols);
-        if side(&self.left) != side(&self.right) {
-            return Err(PipelineError::Lattices { left: side(&self.left), right: side(&self.right) });
-        }
+        let [left_rest, right_rest] = self.label_rest()?;
+        self.left.begin(&self.params, &left_rest);
+        self.right.begin(&self.params, &right_rest);
+        self.left_out = left_rest.left_out;
         let (left, right) = (self.left.labelled(), self.right.labelled());
-        self.triangulator.clear_map();
         let mut stereo = Vec::with_capacity(left.positions_px.len());
         self.triangulator
             .run(centres(left), centres(right), &mut stereo)

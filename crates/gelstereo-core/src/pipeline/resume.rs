@@ -48,6 +48,7 @@ impl Pipeline {
         self.left.resume(&self.params, lattice, &record.left);
         self.right.resume(&self.params, lattice, &record.right);
         self.triangulator.clear_map();
+        self.left_out = [0; 4];
         self.topology = Topology::of(record.lattice.layout, record.cols, &record.points_mm);
         self.discs.resume(self.topology, record.dot_radius_pitches);
         self.points_mm.clone_from(&record.points_mm);

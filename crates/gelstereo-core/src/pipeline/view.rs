@@ -21,6 +21,8 @@ use alloc::vec::Vec;
 pub(super) struct ViewStages {
     view: View,
     size_px: (usize, usize),
+    /// x, y, width and height of the region that is searched, if set.
+    roi_px: Option<[usize; 4]>,
     detector: Detector,
     /// [`DetectRung::Cheaper`], since the first frame with a limit; `None` where the settings have none.
     cheaper: Option<Box<Detector>>,
@@ -66,6 +68,7 @@ impl ViewStages {
         Self {
             view,
             size_px,
+            roi_px: params.detect.roi.of(view).rect_px,
             detector: Detector::new(&params.detect).within(params.detect.roi.of(view)),
             cheaper: None,
             rung: DetectRung::Configured,
@@ -250,22 +253,32 @@ impl ViewStages {
         self.detected.map_err(|error| PipelineError::Detect { view: self.view, error })
     }
 
+    /// First and last pixel of the region that is searched.
+    pub fn searched_px(&self) -> (DVec2, DVec2) {
+        let [x, y, width, height] = self.roi_px.unwrap_or([0, 0, self.size_px.0, self.size_px.1]);
+        let low = DVec2::new(x as f64, y as f64);
+        (low, low + DVec2::new(width as f64, height as f64) - 1.0)
+    }
+
+    /// Centres of the markers found in the whole image.
+    pub fn centres_px(&self) -> &[DVec2] {
+        &self.markers.centres_px
+    }
+
     /// Labels the rest frame, with rows aligned to those of the other view, if that was labelled before.
-    pub fn start(
-        &mut self,
+    pub fn label(
+        &self,
         params: &Params,
         finder: &mut LatticeFinder,
         other: Option<&RestLattice>,
     ) -> Result<RestLattice, PipelineError> {
         let tolerance_pitches = params.label.tolerance_pitches;
-        let rest = lattice::rest_lattice_by(finder, &self.markers, &params.lattice, tolerance_pitches, other)
-            .map_err(|error| PipelineError::Label { view: self.view, error })?;
-        self.begin(params, &rest);
-        Ok(rest)
+        lattice::rest_lattice_by(finder, &self.markers, &params.lattice, tolerance_pitches, other)
+            .map_err(|error| PipelineError::Label { view: self.view, error })
     }
 
     /// Starts from a rest frame labelled from the present markers.
-    fn begin(&mut self, params: &Params, rest: &RestLattice) {
+    pub fn begin(&mut self, params: &Params, rest: &RestLattice) {
         (self.rows, self.cols, self.pitch_px) = (rest.rows, rest.cols, rest.pitch_px);
         self.rest_px.clone_from(&rest.positions_px);
         self.shown.clear();

@@ -196,6 +196,18 @@ pub struct Ready<'a> {
 }
 
 impl<'a> Ready<'a> {
+    /// The rig.
+    #[must_use]
+    pub const fn rig(&self) -> &'a Rig {
+        &self.stage.rig
+    }
+
+    /// The row-aligned virtual cameras.
+    #[must_use]
+    pub const fn rectification(&self) -> &'a Rectification {
+        &self.stage.rectification
+    }
+
     /// One view of the rig.
     #[must_use]
     pub const fn view(&self, view: View) -> &RigView<'a> {

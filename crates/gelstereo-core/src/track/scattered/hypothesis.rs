@@ -101,6 +101,13 @@ impl Hypothesis {
         self.detection.iter().filter(|&&m| m != NONE).count()
     }
 
+    /// Mean distance of the matched markers from their expected positions.
+    pub fn mean_residual_px(&self) -> Option<f64> {
+        let matched = || self.detection.iter().zip(&self.residual_px).filter(|(m, _)| **m != NONE);
+        let sum: f64 = matched().map(|(_, residual_px)| residual_px.length()).sum();
+        (matched().count() > 0).then(|| sum / matched().count() as f64)
+    }
+
     /// Whether most markers have the same detections.
     pub fn is_like(&self, other: &Self) -> bool {
         let same = |(a, b): &(&u32, &u32)| a == b && **a != NONE;

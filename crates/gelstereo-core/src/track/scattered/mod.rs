@@ -32,6 +32,10 @@ const EXPECTED_FRAMES: u32 = 2;
 /// be hidden, or be false detections, by chance.
 const EQUAL_MARKERS: usize = 2;
 
+/// Without a border in view, the largest mean distance of the markers from their expected places, in
+/// spacings: names fail at a half, and half of that is a margin for single jumps.
+const UNANCHORED_SPACINGS: f64 = 0.25;
+
 /// The rest frame has too few markers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TooFewMarkers {
@@ -69,6 +73,8 @@ pub struct ScatteredTracker {
     params: TrackParams,
     size_px: (usize, usize),
     spacing_px: f64,
+    /// Whether no more markers of the print come into view around those tracked.
+    has_border: bool,
     rest_px: Vec<DVec2>,
     neighbours: Neighbours,
     expected_px: Vec<DVec2>,
@@ -89,6 +95,7 @@ impl ScatteredTracker {
             params: params.clone(),
             size_px,
             spacing_px: 0.0,
+            has_border: true,
             rest_px: Vec::new(),
             neighbours: Neighbours::default(),
             expected_px: Vec::new(),
@@ -116,13 +123,15 @@ impl ScatteredTracker {
             return Err(TooFewMarkers { found: count });
         }
         self.lay(&rest.centres_px, most_detections);
+        self.has_border = true;
         out.covariance_px2.clone_from(&rest.covariance_px2);
         out.start(&self.rest_px, core::iter::repeat_n(false, count));
         Ok(())
     }
 
     /// As [`Self::initialise`], from a labelled rest frame of at least 3 x 3 markers and its detections.
-    /// Markers that were filled in are held until they are seen.
+    /// Markers that were filled in are held until they are seen. If rows or columns were left out, a step of
+    /// a whole pitch cannot be told from none, and the frame rate must exclude steps of half a pitch.
     pub fn initialise_labelled(
         &mut self,
         rest: &RestLattice,
@@ -131,7 +140,12 @@ impl ScatteredTracker {
         out: &mut Tracks,
     ) {
         self.lay(&rest.positions_px, most_detections);
+        self.has_border = rest.left_out == [0; 4];
         out.initialise(rest, detected, self.params.gate_pitches * rest.pitch_px);
+        // Those that were not seen are not expected either.
+        for missed in out.missed_frames.iter_mut().filter(|missed| **missed > 0) {
+            *missed = EXPECTED_FRAMES + 1;
+        }
     }
 
     /// Rest positions, pixels, in the order of the tracks.
@@ -218,6 +232,10 @@ impl ScatteredTracker {
         // Unmatched markers and detections may be explained by a common displacement.
         if best.count() + EQUAL_MARKERS >= expected.min(detected_px.len()) && is_enough(best.count()) {
             return true;
+        }
+        if !self.has_border {
+            let max_px = UNANCHORED_SPACINGS * *spacing_px;
+            return is_enough(best.count()) && best.mean_residual_px().is_some_and(|px| px <= max_px);
         }
         votes.count(&scene, best.grid());
         let mut is_unique = true;
