@@ -134,10 +134,11 @@ pub struct SurfaceSearchParams {
     pub budget: u32,
     /// Largest work for each of six half turns of the part, about the axes of its bounding box through its
     /// centre and through the contact, in the unit of `budget` and beyond it. A pose that fits is `unsure` if
-    /// the turned part explains the contact a hundred times better; a turned part that explains it about as
-    /// well is among the alternatives. Valid: 0 to 100000000; 0 does not check. Default: `0`. Set it to 120000
-    /// where the guess may be on a wrong face: about half of the wrong poses that fit are then unsure, and so
-    /// are 1 to 2 % of the correct ones. A search takes three times as long.
+    /// the turned part explains the contact a hundred times better, or if it does when it is turned back. A
+    /// turned part that explains it about as well is among the alternatives. Valid: 0 to 100000000; 0 does
+    /// not check. Default: `0`. Set it to 120000 where the guess may be on a wrong face: a half to two thirds
+    /// of the wrong poses that fit are then unsure, and so are 1 to 7 % of the correct ones. A search takes
+    /// three times as long.
     pub half_turn_budget: u32,
 }
 
