@@ -61,6 +61,10 @@ pub fn methods(out: &mut Digests) -> Outcome<()> {
                 .map_err(|error| format!("{part} by {method:?}: {error}"))?;
             out.push((format!("register/{part}/{method:?}"), found.digest()));
         }
+        let mut turned = settings(M::SurfaceSearch);
+        turned.surface_search.half_turn_budget = 120_000;
+        let found = Registrar::new(&turned).register(&touch.of(frame), &template, &beside(pose))?;
+        out.push((format!("register/{part}/half_turns"), found.digest()));
     }
     Ok(())
 }
