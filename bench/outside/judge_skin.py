@@ -1,8 +1,9 @@
-"""The skin over prints that lie below it: `python -m outside.judge_skin [--half w]`.
+"""The skin over prints that lie below it: `python -m outside.judge_skin [--half w] [--learn]`.
 
 Layers inside gels that were solved by finite elements are taken for prints. `gelstereo.skin_over` gives the
 skin over their markers; its distance from the ball is the error. Beside it stand the skin at constant
-thickness and the markers themselves.
+thickness and the markers themselves. With `--learn`, the depth of the print is learned under the largest ball
+of a gel, and the skin is judged under the others.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 import gelstereo
+from gelstereo.setup.ball import BallPress, PrintDepth, print_depth
 
 from .skin import ALONG_MM, DATA, DEPTHS_MM
 
@@ -89,11 +91,59 @@ def skins(each: Print) -> dict[str, Array]:
     }
 
 
+def by_press(half: str | None = None) -> dict[tuple[float, float, float], list[Print]]:
+    """Prints at the first offset, by thickness of the gel, depth of the print and radius of the ball."""
+    found = defaultdict(list)
+    for number, each in enumerate(prints(half)):
+        if number % len(OFFSETS_MM) == 0:
+            thickness_mm = round(float(each.rest_mm[0, 2]) + each.depth_mm, 3)
+            found[thickness_mm, each.depth_mm, each.radius_mm].append(each)
+    return dict(found)
+
+
+def learned(presses: list[Print]) -> PrintDepth | None:
+    """The depth of a print from presses of one ball."""
+    frames = [BallPress(each.points_mm, each.away_mm < each.touching_mm) for each in presses]
+    rest = gelstereo.RestSurface(presses[0].rest_mm)
+    return print_depth(rest, frames, cols=SIDE, radius_mm=presses[0].radius_mm)
+
+
+def skin_rms_mm(presses: list[Print], depth_mm: float) -> float:
+    """rms distance of the skin from the ball in the inner ring, for a depth of the print."""
+    off = []
+    for each in presses:
+        nothing = np.zeros((len(each.rest_mm), 3, 3))
+        rest = gelstereo.RestSurface(each.rest_mm)
+        skin, _ = gelstereo.skin_over(rest, each.points_mm, nothing, cols=SIDE, depth_mm=depth_mm)
+        off.append(each.error_mm(np.asarray(skin))[each.away_mm < RINGS["inner"][1] * each.touching_mm])
+    return float(np.sqrt(np.mean(np.concatenate(off) ** 2)))
+
+
+def print_learned(half: str | None) -> None:
+    """Print a table of learned depths, and of the skins that follow."""
+    presses = by_press(half)
+    print("| gel, mm | depth, mm | learned, mm | skin with it, rms um | with the true depth | the markers |")
+    print("|---|---|---|---|---|---|")
+    for thickness_mm, depth_mm in sorted({key[:2] for key in presses}):
+        balls = sorted(key[2] for key in presses if key[:2] == (thickness_mm, depth_mm))
+        found = learned(presses[thickness_mm, depth_mm, balls[-1]])
+        others = [each for ball in balls[:-1] for each in presses[thickness_mm, depth_mm, ball]]
+        if found is None:
+            continue
+        rms = [1e3 * skin_rms_mm(others, depth) for depth in (found.depth_mm, depth_mm, 0.0)]
+        cells = " | ".join(f"{each:.0f}" for each in rms)
+        print(f"| {thickness_mm:g} | {depth_mm} | {found.depth_mm:.2f} ± {found.sigma_mm:.2f} | {cells} |")
+
+
 def main() -> None:
     """Print a table: depth of the print, ring, and errors in um."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--half", choices=("w", "j"))
+    parser.add_argument("--learn", action="store_true", help="learn the depth of the print from a ball")
     arguments = parser.parse_args()
+    if arguments.learn:
+        print_learned(arguments.half)
+        return
     errors: dict[tuple[float, str, str], list[Array]] = defaultdict(list)
     for each in prints(arguments.half):
         for name, points_mm in skins(each).items():

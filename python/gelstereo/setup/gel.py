@@ -14,6 +14,7 @@ from gelstereo._native import Frame, Pipeline, PitchWarning, Rig, Simulator
 from gelstereo.cli.files import read_color_image
 from gelstereo.inspection import inspect
 from gelstereo.progress import progress
+from gelstereo.setup import law
 from gelstereo.setup.layers import params_of
 from gelstereo.setup.plan import Plan
 from gelstereo.setup.prints import outline_px, pitch_setting
@@ -24,6 +25,7 @@ from gelstereo.states import MarkerState
 __all__ = ["presses", "rest"]
 
 Array = npt.NDArray[np.float64]
+Image = npt.NDArray[np.uint8]
 
 #: Frames from which a standard deviation per marker is known to a quarter.
 MIN_FRAMES = 10
@@ -34,8 +36,20 @@ MAX_OVER_SIMULATED = 2.0
 #: Standard deviation of a decay length that is used, over the length: a length that is too short by more than
 #: a tenth makes the whole shoulder a contact (contact/decay.rs).
 MAX_DECAY_SIGMA = 0.03
+#: Presses of this depth or deeper tell a decay length, if the gel has one.
+MIN_PRESS_MM = 0.5
 #: Share of the pixels at the largest grey level from which centres suffer.
 MAX_SATURATED = 0.001
+
+
+_NAMES = {
+    "decay_mm": "decay length",
+    "shoulder_mm": "shoulder beside a contact",
+    "depth_mm": "depth of the print",
+    "thickness_mm": "thickness",
+    "friction": "friction",
+    "pull_off_mm2": "pull-off over Young's modulus",
+}
 
 
 @dataclass
@@ -64,14 +78,14 @@ def rest(plan: Plan, rig: Rig, settings: Mapping[str, Any]) -> Step:
     gel = _gel(plan, found, last)
     sensor = Sensor(rig, pipeline.params, gel)
     simulated = _simulated(sensor)
-    saturated = float(np.mean(read_color_image(plan.rest.left[0]) == 255))
+    saturated = _saturated(read_color_image(plan.rest.left[0]), np.asarray(last.left_px))
     figures = [
         Figure("frames", f"{len(frames)}", f"{MIN_FRAMES} or more"),
         Figure("stated depth noise", f"{1e3 * found.stated_mm:.1f} um"),
         Figure("measured depth noise", _um(found.measured_mm), f"simulated {_um(simulated.measured_mm)}"),
         Figure("drift of the depth", _um(found.drift_mm)),
         Figure("markers not seen", f"{100 * found.hidden:.1f} %"),
-        Figure("pixels at the limit", f"{100 * saturated:.2f} %", "below 0.1 %"),
+        Figure("pixels of the gel at the limit", f"{100 * saturated:.2f} %", "below 0.1 %"),
     ]
     doubts = []
     if len(frames) < MIN_FRAMES:
@@ -92,19 +106,24 @@ def rest(plan: Plan, rig: Rig, settings: Mapping[str, Any]) -> Step:
     return Step("rest", "Gel at rest", tuple(figures), tuple(doubts), values={"gel": gel})
 
 
-def presses(plan: Plan, rig: Rig, settings: Mapping[str, Any]) -> Step:
-    """The gel's decay length beside a part, with its uncertainty."""
+def presses(plan: Plan, rig: Rig, settings: Mapping[str, Any], gap_sigma_mm: float | None = None) -> Step:
+    """The gel's own lengths, with their uncertainty, and what these presses do not tell."""
     if plan.presses is None:
         raise ValueError("the plan has no presses")
+    params = params_of(plan, settings)
     learns = {"contact.saliency": "pressure", "contact.learn_decay": True}
-    pipeline = Pipeline(rig, params_of(plan, settings).replace(learns))
+    pipeline = Pipeline(rig, params.replace(learns))
     deepest_mm, touching, unidentified = 0.0, 0, 0
+    pressed: list[Frame] = []
+    images = [tuple(map(read_color_image, pair)) for pair in plan.presses.pairs]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PitchWarning)
-        for left, right in progress(plan.presses.pairs, "sensing the presses"):
-            frame = pipeline.process(read_color_image(left), read_color_image(right))
+        for left, right in progress(images, "sensing the presses"):
+            frame = pipeline.process(left, right)
             salient = np.asarray(frame.salient)
             touching += int(salient.any())
+            if salient.any():
+                pressed.append(frame)
             unidentified += int((np.asarray(frame.state) != MarkerState.SEEN).all())
             deepest_mm = max(deepest_mm, float(np.max(np.asarray(frame.indentation_mm))))
     count = len(plan.presses.pairs)
@@ -112,18 +131,48 @@ def presses(plan: Plan, rig: Rig, settings: Mapping[str, Any]) -> Step:
         Figure("frames with contact", f"{touching} of {count}"),
         Figure("deepest indentation", f"{deepest_mm:.2f} mm"),
     ]
-    doubts, gel = [], {}
+    doubts: list[str] = []
     if unidentified:
         doubts.append(f"in {unidentified} frames no marker was identified: press more slowly")
     decay = pipeline.decay_mm
-    if decay is None:
+    if decay is None and deepest_mm >= MIN_PRESS_MM and touching >= law.MIN_FRAMES:
+        length = law.GelLength.assumed(
+            "decay_mm", "no length describes the gel beside these contacts; saliency by adaptive needs none"
+        )
+    elif decay is None:
         doubts.append("the gel's decay length was not learned: press a part of known shape, 0.5 mm or deeper")
+        length = law.GelLength.assumed("decay_mm", "press a part of known shape, 0.5 mm or deeper")
     else:
-        gel = {"decay_mm": round(decay[0], 4), "decay_sigma_mm": round(decay[1], 4)}
         if decay[1] > MAX_DECAY_SIGMA * decay[0]:
             doubts.append("the presses hardly determine the decay length: press more, and deeper")
-        figures.append(Figure("decay length", f"{decay[0]:.2f} +- {decay[1]:.2f} mm"))
-    return Step("presses", "Gel under a part", tuple(figures), tuple(doubts), values={"gel": gel})
+        length = law.GelLength("decay_mm", decay[0], decay[1], True, "heights beside the contacts")
+    lengths = [length, *_lengths(plan, pipeline, pressed, images, gap_sigma_mm)]
+    figures += [
+        Figure(_NAMES[each.name], str(each), each.why if each.learned else f"assumed: {each.why}")
+        for each in lengths
+    ]
+    advice = tuple(f"{_NAMES[each.name]} is assumed: {each.why}" for each in lengths if not each.learned)
+    gel: dict[str, Any] = {}
+    for each in lengths:
+        gel |= each.values()
+    gel["learned"] = [each.name for each in lengths if each.learned]
+    return Step("presses", "Gel under a part", tuple(figures), tuple(doubts), advice, {"gel": gel})
+
+
+def _lengths(
+    plan: Plan, pipeline: Pipeline, pressed: list[Frame], images: list[Any], gap_sigma_mm: float | None
+) -> list[law.GelLength]:
+    """All lengths but the decay."""
+    rest, rig = pipeline.rest, pipeline.rig
+    if rest is None or not pressed:
+        why = "no frame shows a contact"
+        return [law.GelLength.assumed(name, why) for name in law.ASSUMED if name != "decay_mm"]
+    params = pipeline.params
+    given_mm = float(params.to_dict()["lattice"]["depth_mm"])
+    depth = law.depth_of(rest, pressed, pressed[0].cols, plan.ball_radius_mm, given_mm)
+    thickness = law.thickness_of(rig, rest, gap_sigma_mm, depth)
+    shoulder = law.shoulder_of(rest, pressed, float(np.mean(plan.pitch_mm)))
+    return [shoulder, depth, thickness, *law.slides(images, rig, params, thickness)]
 
 
 def _noise(frames: list[Frame]) -> _Rest:
@@ -175,6 +224,13 @@ def _simulated(sensor: Sensor) -> _Rest:
             pair = simulator.press(frame=n)
             frames.append(pipeline.process(pair.left, pair.right))
     return _noise(frames)
+
+
+def _saturated(image: Image, markers_px: Array) -> float:
+    """Share of the pixels among the markers that are at the largest grey level; lamps lie beside the gel."""
+    low = np.maximum(np.floor(markers_px.min(axis=0)).astype(int), 0)
+    high = np.ceil(markers_px.max(axis=0)).astype(int) + 1
+    return float(np.mean(image[low[1] : high[1], low[0] : high[0]] == 255))
 
 
 def _um(length_mm: float) -> str:

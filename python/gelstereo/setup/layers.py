@@ -60,4 +60,7 @@ def fit(plan: Plan, rig: Rig, settings: Mapping[str, Any]) -> Step:
         Figure("residual", f"{found.rms_px:.3f} px rms"),
     ]
     doubts = tuple(str(doubt) for doubt in found.doubts)
-    return Step("layers", "Layers", tuple(figures), doubts, values={"rig": found.rig.to_toml()})
+    sigma = {name: float(value) for name, value in found.sigma.items()}
+    return Step(
+        "layers", "Layers", tuple(figures), doubts, values={"rig": found.rig.to_toml(), "sigma": sigma}
+    )

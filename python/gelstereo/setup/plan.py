@@ -61,10 +61,12 @@ right = "gel/board_1.8_right.png"
 # [params.detect.roi]
 # left_outline_px = [[120, 40], [520, 40], [600, 240], [520, 440], [120, 440], [40, 240]]
 
-# A part pressed into the gel, with frames at rest before it.
+# A part pressed into the gel, with frames at rest before it. A ball of known radius tells the depth of the
+# print below the skin, and a part that slides tells the friction.
 [presses]
 left = "press/left/*.png"
 right = "press/right/*.png"
+# ball_radius_mm = 6.0
 """
 
 
@@ -107,6 +109,8 @@ class Plan:
         Height of each flat board in mm, and its images.
     presses
         Images of presses, with frames at rest before them; ``None`` without any.
+    ball_radius_mm
+        Radius of the ball that is pressed; ``None`` for another part.
     params
         Settings that take precedence over what the steps find, as `Params.replace` takes them.
     """
@@ -120,6 +124,7 @@ class Plan:
     priors: Mapping[str, float] = field(default_factory=dict)
     boards: tuple[tuple[float, Views], ...] = ()
     presses: Views | None = None
+    ball_radius_mm: float | None = None
     params: Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod
@@ -150,6 +155,9 @@ class Plan:
         boards = tree.get("boards", [])
         for board in boards:
             _refuse_unknown(board, {"height_mm", "left", "right"}, "[[boards]]")
+        presses = tree.get("presses")
+        if presses is not None:
+            _refuse_unknown(presses, {"left", "right", "ball_radius_mm"}, "[presses]")
         priors = tree.get("priors", {})
         return cls(
             cameras=_views(folder, cameras, "[cameras]"),
@@ -163,7 +171,10 @@ class Plan:
                 (_length(board, "height_mm", "[[boards]]"), _views(folder, board, "[[boards]]"))
                 for board in boards
             ),
-            presses=_views(folder, tree["presses"], "[presses]") if "presses" in tree else None,
+            presses=None if presses is None else _views(folder, presses, "[presses]"),
+            ball_radius_mm=_length(presses, "ball_radius_mm", "[presses]")
+            if presses is not None and "ball_radius_mm" in presses
+            else None,
             params=_settings(preset, tree.get("params", {})),
         )
 

@@ -5,7 +5,7 @@ A finished step is stored, and used again while its inputs are the same.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -68,16 +68,29 @@ def set_up(plan: Plan, output: str | Path, report: Callable[[str], None] = lambd
     facts = (plan.layers, plan.priors, [height_mm for height_mm, _ in plan.boards])
     found = run("layers", images, facts, lambda: layers.fit(plan, rig, settings))
     rig = Rig.from_toml(found.values["rig"])
+    gap_sigma_mm = found.values.get("sigma", {}).get("gap_mm")
     values: dict[str, Any] = dict(run("rest", (), None, lambda: gel.rest(plan, rig, settings)).values["gel"])
     if plan.presses is not None:
-        found = run("presses", _files(plan.presses), None, lambda: gel.presses(plan, rig, settings))
+        found = run(
+            "presses",
+            _files(plan.presses),
+            plan.ball_radius_mm,
+            lambda: gel.presses(plan, rig, settings, gap_sigma_mm),
+        )
         values |= found.values["gel"]
-        if found.is_good:
-            settings = {**settings, "contact.decay_mm": values["decay_mm"], **plan.params}
+        settings = {**settings, **_learned(values), **plan.params} if found.is_good else settings
     path = output / "sensor.toml"
     path.write_text(sensor_text(rig, plan.preset, settings, values), encoding="utf-8")
     write_report(output / "report.html", steps)
     return steps
+
+
+def _learned(gel: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings that presses tell. A depth of the print below three standard deviations may be none."""
+    settings = {"contact.decay_mm": gel["decay_mm"]} if "decay_mm" in gel["learned"] else {}
+    if "depth_mm" in gel["learned"] and gel["depth_mm"] > 3.0 * gel["depth_sigma_mm"]:
+        settings["lattice.depth_mm"] = gel["depth_mm"]
+    return settings
 
 
 def _files(views: Any) -> tuple[Path, ...]:

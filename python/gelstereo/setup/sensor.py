@@ -27,8 +27,10 @@ class Sensor:
         For `Pipeline`.
     gel
         Measured: ``rows``, ``cols``, ``pitch_mm``, ``dot_radius_mm``, ``surface_mm`` (distance of the markers
-        at rest), ``centre_mm``, ``noise_levels``, ``point_sigma_mm`` and, if presses were given,
-        ``decay_mm`` and ``decay_sigma_mm``.
+        at rest), ``centre_mm``, ``noise_levels`` and ``point_sigma_mm``. If presses were given, the gel's own
+        lengths follow, each with its standard deviation (``decay_mm`` and ``decay_sigma_mm``): ``decay_mm``,
+        ``shoulder_mm``, ``depth_mm``, ``thickness_mm``, ``friction`` and ``pull_off_mm2``. ``learned`` names
+        those that the presses tell; the others are assumed.
     """
 
     rig: Rig
@@ -40,7 +42,8 @@ class Sensor:
 
         Add an indenter, a trajectory and effects by `Scene.replace`. The gel's law is the simulator's.
         """
-        names = ("rows", "cols", "pitch_mm", "dot_radius_mm", "surface_mm", "centre_mm")
+        names = ["rows", "cols", "pitch_mm", "dot_radius_mm", "surface_mm", "centre_mm"]
+        names += ["thickness_mm"] if "thickness_mm" in self.gel.get("learned", ()) else []
         gel = {name: self.gel[name] for name in names}
         effects = {"defocus": {}, "sensor_noise": {"sigma_levels": self.gel["noise_levels"]}}
         bright = self.params.to_dict()["detect"]["polarity"] == "bright"
