@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -11,6 +13,12 @@ import trimesh
 from drawn import SHOULDER_MM, SURFACE_MM, Press, Sensor
 
 import gelstereo as gs
+from gelstereo.calibrate.board_names import BoardKind
+from gelstereo.setup import Plan, gel
+from gelstereo.setup.plan import Views
+from gelstereo.setup.prints import look
+from gelstereo.setup.sensor import Sensor as Sensors
+from gelstereo.setup.sensor import SensorFileError
 
 Array = npt.NDArray[np.float64]
 
@@ -125,6 +133,38 @@ def test_a_covered_marker_is_held_and_found_again() -> None:
         )
     frame = pipeline.process(*sensor.pair(rest_mm + [0.4, 0.0, 0.0], 9))
     assert (frame.state == gs.MarkerState.SEEN).mean() > 0.98
+
+
+def test_setup_of_a_hexagonal_print(tmp_path: Path) -> None:
+    """The print and its lengths are found; the simulator has no such print to compare with."""
+    sensor = HexagonalSensor()
+
+    def views(kind: str, points: list[Array]) -> Views:
+        files: tuple[list[Path], list[Path]] = ([], [])
+        for seed, points_mm in enumerate(points):
+            for view, image in zip(files, sensor.pair(points_mm, seed), strict=True):
+                view.append(tmp_path / f"{kind}_{seed}_{'left' if view is files[0] else 'right'}.png")
+                cv2.imwrite(str(view[-1]), image)
+        return Views(tuple(files[0]), tuple(files[1]))
+
+    rest = views("rest", [sensor.rest_mm] * 10)
+    shares = [Press("ball", BALL.depth_mm * k / 5, BALL.place_mm, radius_mm=6.0) for k in range(1, 6)]
+    pressed = views("press", [sensor.rest_mm, *(sensor.markers_mm(share) for share in shares)])
+    board = BoardKind.parse("9x6").board({"square_mm": 2.0})
+    # The cameras are known, so that their images are not read.
+    plan = Plan(rest, board, rest, (PITCH_MM, PITCH_MM), presses=pressed, ball_radius_mm=6.0)
+    step = look(plan)
+    settings = step.values["settings"]
+    assert settings["lattice.layout"] == "hexagonal" and settings["lattice.cols"] == COLS
+    found = gel.rest(plan, sensor.rig, settings)
+    assert found.values["gel"]["rows"] == ROWS and found.is_good, str(found)
+    lengths = gel.presses(plan, sensor.rig, settings).values["gel"]
+    # Markers of the drawn gel are on the ball, and beside it the gel returns to rest exponentially.
+    assert abs(lengths["depth_mm"]) < 2 * lengths["depth_sigma_mm"]
+    assert lengths["shoulder_mm"] == pytest.approx(SHOULDER_MM, rel=0.25)
+    twin = Sensors(sensor.rig, params(), found.values["gel"])
+    with pytest.raises(SensorFileError, match="the print is hexagonal"):
+        twin.scene()
 
 
 def test_layouts_are_not_mistaken() -> None:

@@ -41,7 +41,16 @@ class Sensor:
         """The sensor as a scene of the simulator, at rest: its cameras, layers, print and noise.
 
         Add an indenter, a trajectory and effects by `Scene.replace`. The gel's law is the simulator's.
+
+        Raises
+        ------
+        SensorFileError
+            The print is hexagonal, which the simulator does not have.
         """
+        if self.params.to_dict()["lattice"]["layout"] != "square":
+            raise SensorFileError(
+                "the print is hexagonal, and the simulator has square and rectangular ones only"
+            )
         names = ["rows", "cols", "pitch_mm", "dot_radius_mm", "surface_mm", "centre_mm"]
         names += ["thickness_mm"] if "thickness_mm" in self.gel.get("learned", ()) else []
         gel = {name: self.gel[name] for name in names}
