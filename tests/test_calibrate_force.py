@@ -11,7 +11,16 @@ import pytest
 
 import gelstereo as gs
 from gelstereo.cli import main
-from gelstereo.force import ForceCalibration, Load, LoadsError, Pressed, calibrate, pressed_frames, read_loads
+from gelstereo.force import (
+    ForceCalibration,
+    Load,
+    LoadsError,
+    Pressed,
+    calibrate,
+    calibrate_resultant,
+    pressed_frames,
+    read_loads,
+)
 from gelstereo.force.pressed import RestState
 from gelstereo.setup.sensor import Sensor, sensor_text
 
@@ -171,6 +180,33 @@ def test_the_axes_are_those_of_the_print(bench: Bench) -> None:
     """Towards the camera, to the right, and down."""
     rest = RestState(bench.rest.surface, bench.rest.covariance_mm2, bench.rest.cols)
     np.testing.assert_allclose(rest.axes, [[0, 0, -1], [1, 0, 0], [0, 1, 0]], atol=0.01)
+
+
+def test_stiffnesses_without_a_layer_give_the_loads(bench: Bench) -> None:
+    """Within what the calibration states, and worse than the layer does."""
+    found = calibrate_resultant(
+        bench.rest, bench.frames, bench.loads, bench.sensor, thickness_mm=THICKNESS_MM
+    )
+    assert 0.005 < found.left_out_rms < 0.1 and not any(found.is_cut)
+    params = bench.sensor.params.replace(force=found.settings())
+    estimator = gs.ForceEstimator(
+        bench.rest.surface, params, cols=bench.rest.cols, covariance_mm2=bench.rest.covariance_mm2
+    )
+    for frame in bench.frames:
+        _, wrench = estimator.run(frame.points_mm, frame.covariance_mm2, frame.patch.tolist())
+        assert wrench is not None and wrench.misfit == 1.0
+        known = bench.loads[frame.load].known[:3]
+        off = bench.rest.axes @ wrench.force_n - known
+        sigma = np.sqrt(np.diag(bench.rest.axes @ wrench.covariance[:3, :3] @ bench.rest.axes.T))
+        assert np.all(np.abs(off) < 4.0 * sigma + 0.02 * known[0]), (off, sigma)
+    # All forces are proportional to the known ones.
+    twice = [Load(load.start_s, load.end_s, 2.0 * load.known) for load in bench.loads]
+    doubled = calibrate_resultant(bench.rest, bench.frames, twice, bench.sensor, thickness_mm=THICKNESS_MM)
+    assert doubled.shear_n_per_mm3 == pytest.approx(2.0 * found.shear_n_per_mm3)
+    assert doubled.around_n_per_mm3 == pytest.approx(2.0 * found.around_n_per_mm3)
+    straight = [Load(load.start_s, load.end_s, load.known * [1, 0, 0, 0]) for load in bench.loads]
+    with pytest.raises(LoadsError, match="one with tilt_deg"):
+        calibrate_resultant(bench.rest, bench.frames, straight, bench.sensor, thickness_mm=THICKNESS_MM)
 
 
 def table(tmp_path: Path, text: str) -> Path:

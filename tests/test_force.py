@@ -288,3 +288,71 @@ def test_what_is_missing_is_named() -> None:
         estimator(rest * [1.3, 1.0, 1.0], 4.0, 0.48)
     with pytest.raises(gs.ContactError, match="288 entries"):
         estimator(rest, 4.0, 0.48).run(rest, nothing, [False] * (ROWS**2 - 1))
+
+
+def test_a_resultant_is_a_sum_over_the_markers() -> None:
+    """Independently: each marker is a spring, and noise acts through the same sum."""
+    random = np.random.default_rng(3)
+    x, y = np.meshgrid(np.arange(12) * 0.9, np.arange(10) * 0.9)
+    rest = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, 30.0)])
+    patch = np.hypot(rest[:, 0] - 5.0, rest[:, 1] - 4.0) < 1.6
+    stiffness = {"patch_n_per_mm3": 0.03, "around_n_per_mm3": 0.05, "shear_n_per_mm3": 0.01}
+    force = {"method": "resultant", "thickness_mm": 100.0, "resultant_sigma": 0.0, **stiffness}
+    params = gs.Params().replace(force=force)
+    estimator = gs.ForceEstimator(
+        gs.RestSurface(rest), params, cols=12, covariance_mm2=np.zeros((len(rest), 3, 3))
+    )
+    motion = 0.1 * random.normal(size=rest.shape)
+    root = 0.002 * random.normal(size=(len(rest), 3, 3))
+    covariance = root @ root.transpose(0, 2, 1) + 1e-8 * np.eye(3)
+    traction, wrench = estimator.run(rest + motion, covariance, patch.tolist())
+    assert wrench is not None and wrench.markers == len(rest)
+    springs = 0.81 * np.where(patch[:, None], [0.01, 0.01, 0.08], [0.01, 0.01, 0.05])
+    arms = rest - rest.mean(axis=0)
+    forces = springs * motion
+    np.testing.assert_allclose(wrench.force_n, forces.sum(axis=0), atol=1e-12)
+    # The pressing force acts at the middle of the heights under the part.
+    heights = np.where(patch, np.maximum(-motion[:, 2], 0.0), 0.0)
+    centre = heights @ arms / heights.sum()
+    torque = np.cross(centre, forces.sum(axis=0) * [0, 0, 1]) + np.cross(arms, forces * [1, 1, 0]).sum(axis=0)
+    np.testing.assert_allclose(wrench.torque_nmm, torque, atol=1e-11)
+    # Of the noise, a part of 0.02 of the pressing force along the gel, and 0.2 of the radius of the pressure.
+    expected = np.zeros((6, 6))
+    for arm, spring, each in zip(arms, springs, covariance, strict=True):
+        lever, middle = (np.cross(np.eye(3), -at).T for at in (arm, centre))
+        jacobian = np.vstack(
+            [np.diag(spring), lever @ np.diag(spring * [1, 1, 0]) + middle @ np.diag(spring * [0, 0, 1])]
+        )
+        expected += jacobian @ each @ jacobian.T
+    pressing, pulling = abs(wrench.force_n[2]), np.hypot(*wrench.force_n[:2])
+    radius = np.sqrt(heights @ np.sum((arms - centre) ** 2, axis=1) / heights.sum())
+    for axis in np.eye(3)[:2]:
+        aside = 0.02 * pressing * np.concatenate([axis, np.cross(centre, axis)])
+        off = 0.2 * radius * pressing * np.concatenate([np.zeros(3), axis])
+        expected += np.outer(aside, aside) + np.outer(off, off)
+    expected[5, 5] += (0.2 * radius * pulling) ** 2
+    np.testing.assert_allclose(wrench.covariance, expected, atol=1e-11)
+    # The tractions have the force, and only under the part.
+    np.testing.assert_allclose(0.81e-3 * traction.sum(axis=0), wrench.force_n, atol=1e-9)
+    assert not traction[~patch].any()
+    # A share of the loads is added, of pressing and of pulling apart.
+    wide = gs.ForceEstimator(
+        gs.RestSurface(rest),
+        params.replace(force={"resultant_sigma": 0.2}),
+        cols=12,
+        covariance_mm2=np.zeros((len(rest), 3, 3)),
+    )
+    _, wider = wide.run(rest + motion, covariance, patch.tolist())
+    assert wider is not None
+    added = np.diag(wider.covariance - wrench.covariance)[:3]
+    np.testing.assert_allclose(added, (0.2 * wrench.force_n) ** 2, atol=1e-9)
+    # Markers that are not seen move like the others of their kind.
+    lost = rest + 0.1
+    lost[np.flatnonzero(patch)[:2]] = np.nan
+    lost[np.flatnonzero(~patch)[:5]] = np.nan
+    _, found = estimator.run(lost, covariance, patch.tolist())
+    _, whole = estimator.run(rest + 0.1, covariance, patch.tolist())
+    assert found is not None and whole is not None
+    np.testing.assert_allclose(found.force_n, whole.force_n, rtol=1e-12)
+    with pytest.raises(gs.ParamsError, match=r"requires force\.shear_n_per_mm3"):
+        gs.Params().replace(force={**force, "shear_n_per_mm3": None})

@@ -6,14 +6,15 @@ Run ``python -m gelstereo_bench.reports.forces`` to fill the table in docs/force
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from gelstereo import ForceEstimator, LayerContact, Params, RestSurface
+from gelstereo import ForceEstimator, LayerContact, Params, RestSurface, Wrench
+from gelstereo.force.resultant import NAMES, fit_stiffness
 from gelstereo_bench.reports.markdown import replace_between, table
 
 __all__ = ["METHODS", "Contact", "Errors", "contacts", "errors", "main"]
@@ -21,6 +22,8 @@ __all__ = ["METHODS", "Contact", "Errors", "contacts", "errors", "main"]
 Array = npt.NDArray[np.float64]
 
 METHODS = ("ridge", "bounded")
+#: Thickness in mm and Poisson's ratio of the gels on which `resultant` is calibrated.
+GELS = ((3.0, 0.48), (5.0, 0.47))
 #: Noise of a marker, mm.
 _SIGMA_MM = np.array([0.0015, 0.0015, 0.005])
 #: Fine grid of the layer; every third point is a marker, 0.9 mm apart.
@@ -82,13 +85,16 @@ def _obstacle_mm(kind: int, centre: Array, random: np.random.Generator) -> Array
     return np.where(within, depth - below, -np.inf)
 
 
-def contacts(count: int, seed: int) -> Iterator[Contact]:
-    """Press, drag and twist balls, plates and cylinders in turn."""
+def contacts(count: int, seed: int, gel: tuple[float, float] | None = None) -> Iterator[Contact]:
+    """Press, drag and twist balls, plates and cylinders in turn. The gel's thickness and Poisson's ratio are
+    random if they are not given.
+    """
     random = np.random.default_rng(seed)
     for k in range(count):
         thickness_mm, poisson, friction = (
             random.uniform(*between) for between in ((2.5, 5.0), (0.45, 0.495), (0.2, 1.0))
         )
+        thickness_mm, poisson = gel or (thickness_mm, poisson)
         layer = LayerContact(
             thickness_mm=thickness_mm,
             poisson_ratio=poisson,
@@ -123,23 +129,17 @@ def contacts(count: int, seed: int) -> Iterator[Contact]:
 
 def errors(contact: Contact, method: str) -> Errors:
     """Estimate the loads of a contact, and compare them with the truth."""
-    force = {
+    force: dict[str, object] = {
         "method": method,
         "thickness_mm": contact.thickness_mm,
         "poisson_ratio": contact.poisson_ratio,
         "young_kpa": _YOUNG_KPA,
     }
-    count = len(contact.rest_mm)
-    estimator = ForceEstimator(
-        RestSurface(contact.rest_mm),
-        Params().replace(force=force),
-        cols=_MARKERS,
-        covariance_mm2=np.tile(1e-12 * np.eye(3), (count, 1, 1)),
-    )
-    noise = np.tile(np.diag(_SIGMA_MM**2), (count, 1, 1))
-    traction, found = estimator.run(contact.points_mm, noise, contact.touching.tolist())
-    assert found is not None, "every contact touches markers"
-    wrench = found.about(contact.centre_mm)
+    return _errors(contact, force)
+
+
+def _errors(contact: Contact, force: dict[str, object]) -> Errors:
+    traction, wrench = _sensed(contact, force)
     error = np.concatenate([wrench.force_n, wrench.torque_nmm]) - contact.wrench
     pressure = contact.traction_kpa[:, 2]
     return Errors(
@@ -150,6 +150,58 @@ def errors(contact: Contact, method: str) -> Errors:
         abs(float(traction[:, 2].sum()) * (_EVERY * _CELL_MM) ** 2 * 1e-3 / contact.wrench[2] - 1.0),
         float(error @ np.linalg.solve(wrench.covariance, error)),
     )
+
+
+def _sensed(contact: Contact, force: dict[str, object]) -> tuple[Array, Wrench]:
+    """Tractions, and the wrench about the contact's centre."""
+    count = len(contact.rest_mm)
+    estimator = ForceEstimator(
+        RestSurface(contact.rest_mm),
+        Params().replace(force=force),
+        cols=_MARKERS,
+        covariance_mm2=np.tile(1e-12 * np.eye(3), (count, 1, 1)),
+    )
+    noise = np.tile(np.diag(_SIGMA_MM**2), (count, 1, 1))
+    traction, found = estimator.run(contact.points_mm, noise, contact.touching.tolist())
+    assert found is not None, "every contact touches markers"
+    return traction, found.about(contact.centre_mm)
+
+
+def _stiffness(loads: Iterable[Contact], thickness_mm: float) -> dict[str, object]:
+    """Settings of `resultant` that fit these loads."""
+    unit, known = [], []
+    for contact in loads:
+        of_load = []
+        for name in NAMES:
+            stiffness = {each: float(each == name) for each in NAMES}
+            force = {"method": "resultant", "thickness_mm": thickness_mm, **stiffness}
+            _, wrench = _sensed(contact, force)
+            of_load.append([-wrench.force_n[2], *wrench.force_n[:2], -wrench.torque_nmm[2]])
+        force_n, torque_nmm = contact.wrench[:3], contact.wrench[3:]
+        unit.append(of_load)
+        known.append([-force_n[2], *force_n[:2], -torque_nmm[2]])
+    found = fit_stiffness(np.array(unit).transpose(1, 0, 2), np.array(known))
+    assert found is not None
+    return {"method": "resultant", "thickness_mm": thickness_mm, **dict(zip(NAMES, found, strict=True))}
+
+
+def _resultants(count: int) -> list[list[str]]:
+    """Errors by sums without a layer, calibrated with six balls on the same gel."""
+    rows = []
+    for thickness_mm, poisson in GELS:
+        balls = list(contacts(18, 6, (thickness_mm, poisson)))[::3]
+        force = _stiffness(balls, thickness_mm)
+        tested = list(contacts(count, 7, (thickness_mm, poisson)))
+        for kind, name in enumerate(("balls", "plates", "cylinders")):
+            found = [_errors(contact, force) for contact in tested[kind::3]]
+            rms = [100 * np.sqrt(np.mean([e.normal**2 for e in found]))]
+            rms += [
+                100 * np.median([getattr(e, each) for e in found]) for each in ("normal", "shear", "twist")
+            ]
+            squared = f"{np.mean([e.squared for e in found]):.1f}"
+            gel = f"{thickness_mm:g} mm, {poisson:g}"
+            rows.append([gel, name, *(f"{each:.0f}" for each in rms), squared])
+    return rows
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -172,6 +224,9 @@ def main(arguments: list[str] | None = None) -> int:
     head = ["method", "pressing force, %", "shear, %", "twist, %", "pressures, %", "sum of the tractions, %"]
     head.append("normalised squared error (6)")
     replace_between(options.docs / "force.md", "forces", table(head, rows))
+    head = ["thickness, Poisson's ratio", "contacts", "pressing force, rms, %", "median", "shear, median, %"]
+    head += ["twist, median, %", "normalised squared error (6)"]
+    replace_between(options.docs / "force.md", "resultants", table(head, _resultants(options.contacts // 2)))
     return 0
 
 

@@ -1,11 +1,13 @@
 """Calibration of forces: from known loads to the gel's modulus.
 
 `calibrate` fits Young's modulus, and if asked Poisson's ratio, to the markers' motion under known loads.
+`calibrate_resultant` fits the stiffnesses of the method `resultant`, which has no model of the gel.
 """
 
 from gelstereo.force.fit import ForceCalibration, LoadResult, calibrate
 from gelstereo.force.loads import Load, LoadsError, read_loads
 from gelstereo.force.pressed import Pressed, pressed_frames
+from gelstereo.force.resultant import ResultantCalibration, calibrate_resultant
 
 __all__ = [
     "ForceCalibration",
@@ -13,7 +15,9 @@ __all__ = [
     "LoadResult",
     "LoadsError",
     "Pressed",
+    "ResultantCalibration",
     "calibrate",
+    "calibrate_resultant",
     "pressed_frames",
     "read_loads",
 ]

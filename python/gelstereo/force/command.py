@@ -7,9 +7,10 @@ import sys
 from pathlib import Path
 
 from gelstereo.force.fit import calibrate, percent
-from gelstereo.force.loads import read_loads
+from gelstereo.force.loads import Load, read_loads
 from gelstereo.force.pressed import pressed_frames, recorded_pairs
 from gelstereo.force.report import write_report
+from gelstereo.force.resultant import ResultantCalibration, calibrate_resultant
 from gelstereo.setup.sensor import load_sensor
 
 __all__ = ["EXAMPLES", "add_arguments", "run"]
@@ -17,6 +18,7 @@ __all__ = ["EXAMPLES", "add_arguments", "run"]
 EXAMPLES = """examples:
   gelstereo calibrate-force loads.csv run.mcap --sensor cell/sensor.toml --thickness-mm 4
   gelstereo calibrate-force loads.csv run.mcap --sensor cell/sensor.toml --thickness-mm 4 --fit-poisson
+  gelstereo calibrate-force loads.csv run.mcap --sensor cell/sensor.toml --thickness-mm 4 --method resultant
 
 loads.csv says what lay on the gel, and when since the first frame:
 
@@ -40,6 +42,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--thickness-mm", type=float, required=True, metavar="MM", help="thickness of the gel"
+    )
+    parser.add_argument(
+        "--method",
+        choices=["layer", "resultant"],
+        default="layer",
+        help="of the wrench: an elastic layer, or sums of the motion without a model (%(default)s)",
     )
     poisson = parser.add_mutually_exclusive_group()
     poisson.add_argument(
@@ -65,6 +73,9 @@ def run(arguments: argparse.Namespace) -> int:
             print(f"\r{text}", end="", file=sys.stderr, flush=True)
 
     rest, frames = pressed_frames(recorded_pairs(arguments.recording), sensor, loads, progress)
+    if arguments.method == "resultant":
+        without_layer = calibrate_resultant(rest, frames, loads, sensor, thickness_mm=arguments.thickness_mm)
+        return _resultant(arguments, loads, without_layer)
     found = calibrate(
         rest,
         frames,
@@ -84,7 +95,25 @@ def run(arguments: argparse.Namespace) -> int:
         f"hysteresis: {percent(found.hysteresis)}\n"
         f"wrote {arguments.output} and {page}"
     )
-    cut = [str(result.load) for result in found.results if result.is_cut]
-    if cut:
-        print(f"the contact reaches the print's border, so that forces are missing: {'; '.join(cut)}")
-    return 1 if cut else 0
+    return _cut([str(result.load) for result in found.results if result.is_cut])
+
+
+def _resultant(arguments: argparse.Namespace, loads: list[Load], found: ResultantCalibration) -> int:
+    """Write what was found without a layer, and print its figures."""
+    arguments.output.parent.mkdir(parents=True, exist_ok=True)
+    arguments.output.write_text(found.to_toml(), encoding="utf-8")
+    print(
+        f"stiffness {found.patch_n_per_mm3:.4g} N/mm3 under the part, {found.around_n_per_mm3:.4g} under and "
+        f"around it, {found.shear_n_per_mm3:.4g} along the gel"
+    )
+    for load, error in zip(loads, found.left_out, strict=True):
+        print(f"{load}: error without it {percent(error)}")
+    print(f"rms error of a load that was left out: {percent(found.left_out_rms)}\nwrote {arguments.output}")
+    return _cut([str(load) for load, is_cut in zip(loads, found.is_cut, strict=True) if is_cut])
+
+
+def _cut(loads: list[str]) -> int:
+    """The exit code, after a warning of loads that reach the border."""
+    if loads:
+        print(f"the contact reaches the print's border, so that forces are missing: {'; '.join(loads)}")
+    return 1 if loads else 0

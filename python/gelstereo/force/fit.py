@@ -8,12 +8,20 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from gelstereo import ForceEstimator
+from gelstereo import ForceEstimator, Params
 from gelstereo.force.loads import Load, LoadsError
 from gelstereo.force.pressed import Pressed, RestState, force_params
 from gelstereo.setup.sensor import Sensor
 
-__all__ = ["ForceCalibration", "LoadResult", "calibrate", "percent"]
+__all__ = [
+    "ForceCalibration",
+    "LoadResult",
+    "UnitLoad",
+    "calibrate",
+    "main_component",
+    "percent",
+    "unit_loads",
+]
 
 Floats = npt.NDArray[np.float64]
 
@@ -116,8 +124,8 @@ def _value(value: float | str) -> str:
 
 
 @dataclass(frozen=True)
-class _Unit:
-    """What a load would be on a gel with a modulus of 1 kPa."""
+class UnitLoad:
+    """What a load would be on a gel with a modulus, or a stiffness, of 1."""
 
     mean: Floats
     variance: Floats
@@ -186,8 +194,14 @@ def _units(
     sensor: Sensor,
     thickness_mm: float,
     nu: float,
-) -> list[_Unit]:
-    params = force_params(sensor, thickness_mm, nu)
+) -> list[UnitLoad]:
+    return unit_loads(rest, frames, loads, force_params(sensor, thickness_mm, nu))
+
+
+def unit_loads(
+    rest: RestState, frames: Sequence[Pressed], loads: Sequence[Load], params: Params
+) -> list[UnitLoad]:
+    """Means of what the estimator with these settings finds under each load."""
     estimator = ForceEstimator(rest.surface, params, cols=rest.cols, covariance_mm2=rest.covariance_mm2)
     axes = rest.axes
     # Force along the axes, then the torque about the first.
@@ -209,10 +223,10 @@ def _units(
     for load, each in zip(loads, values, strict=True):
         if not each:
             raise LoadsError(f"the contact of the load {load} gives no force; too few markers are seen there")
-    return [_unit(values[k], _main(load), k in cut) for k, load in enumerate(loads)]
+    return [_unit(values[k], main_component(load), k in cut) for k, load in enumerate(loads)]
 
 
-def _unit(values: Sequence[tuple[float, Floats, Floats]], main: int, is_cut: bool) -> _Unit:
+def _unit(values: Sequence[tuple[float, Floats, Floats]], main: int, is_cut: bool) -> UnitLoad:
     times = np.array([time for time, _, _ in values])
     wrenches, variances = (np.array(each) for each in zip(*[(w, v) for _, w, v in values], strict=True))
     settled = times >= min(_SETTLED_S, 0.5 * times.max())
@@ -222,16 +236,16 @@ def _unit(values: Sequence[tuple[float, Floats, Floats]], main: int, is_cut: boo
         slope = np.polyfit(np.log10(times[settled]), wrenches[settled, main], 1)[0]
         creep = float(slope / mean[main])
     # What the law leaves unexplained is common to all frames of a load: it does not average out.
-    return _Unit(mean, variances[settled].mean(axis=0), creep, is_cut, int(settled.sum()))
+    return UnitLoad(mean, variances[settled].mean(axis=0), creep, is_cut, int(settled.sum()))
 
 
-def _main(load: Load) -> int:
+def main_component(load: Load) -> int:
     """Index of the largest known force; of the torque if no force is known."""
     forces = np.abs(load.known[:3])
     return int(np.nanargmax(forces)) if np.nansum(forces) > 0 else int(np.nanargmax(np.abs(load.known)))
 
 
-def _modulus(units: Sequence[_Unit], loads: Sequence[Load]) -> tuple[float, float, float]:
+def _modulus(units: Sequence[UnitLoad], loads: Sequence[Load]) -> tuple[float, float, float]:
     """Modulus, standard deviation and weighted mean square of the residuals."""
     known = np.array([load.known for load in loads])
     means, variances = (np.array(each) for each in zip(*[(u.mean, u.variance) for u in units], strict=True))
@@ -250,8 +264,8 @@ def _modulus(units: Sequence[_Unit], loads: Sequence[Load]) -> tuple[float, floa
     return young_kpa, float(np.sqrt(max(chi2, 1.0) / precision)), chi2
 
 
-def _result(k: int, units: Sequence[_Unit], loads: Sequence[Load], young_kpa: float) -> LoadResult:
-    unit, load, main = units[k], loads[k], _main(loads[k])
+def _result(k: int, units: Sequence[UnitLoad], loads: Sequence[Load], young_kpa: float) -> LoadResult:
+    unit, load, main = units[k], loads[k], main_component(loads[k])
     left_out = float("nan")
     others = [i for i in range(len(loads)) if i != k]
     if load.known[main] != 0 and any(np.nansum(np.abs(loads[i].known)) > 0 for i in others):
@@ -268,11 +282,11 @@ def _result(k: int, units: Sequence[_Unit], loads: Sequence[Load], young_kpa: fl
     )
 
 
-def _hysteresis(units: Sequence[_Unit], loads: Sequence[Load]) -> float:
+def _hysteresis(units: Sequence[UnitLoad], loads: Sequence[Load]) -> float:
     """Of pairs of equal loads with a larger one between them."""
     found = []
     for i in range(len(loads)):
-        main = _main(loads[i])
+        main = main_component(loads[i])
         size = abs(loads[i].known[main])
         for k in range(i + 2, len(loads)):
             between = [abs(loads[n].known[main]) for n in range(i + 1, k)]

@@ -90,7 +90,7 @@ pub fn rungs(out: &mut Digests) -> Outcome<()> {
     for rung in every!(Saliency: Depth Pressure Adaptive) {
         add(format!("saliency/{rung:?}"), &of_dark, &|params| params.contact.saliency = rung)?;
     }
-    for rung in every!(ForceMethod: None Ridge Bounded) {
+    for rung in every!(ForceMethod: None Resultant Ridge Bounded) {
         add(format!("force/{rung:?}"), &of_dark, &|params| {
             let (thickness_mm, young_kpa) = (Some(5.0), Some(100.0));
             params.force = ForceParams {
@@ -98,6 +98,9 @@ pub fn rungs(out: &mut Digests) -> Outcome<()> {
                 thickness_mm,
                 young_kpa,
                 friction: Some(0.5),
+                patch_n_per_mm3: Some(0.03),
+                around_n_per_mm3: Some(0.04),
+                shear_n_per_mm3: Some(0.01),
                 ..Default::default()
             };
         })?;

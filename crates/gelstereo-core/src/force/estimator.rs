@@ -5,6 +5,8 @@ use super::cone::project;
 use super::equations::Equations;
 use super::error::ForceError;
 use super::evidence::{Posterior, Variances};
+use super::moved::MovedMarkers;
+use super::resultant::{Place, Stiffness, spread};
 use super::wrench::Wrench;
 use crate::contact::RestSurface;
 use crate::layer::{Influence, Layer, N_PER_KPA_MM2};
@@ -55,24 +57,12 @@ const START: Variances = Variances { pressure: 0.01, shear: 0.001, noise: 1.0 };
 /// wrong by 0.29 rms; it is by 0.013 with 1e-5, 1e-3 and 0.1.
 const MIN_SHEAR: f64 = 1e-3;
 
-/// Markers of one frame. All lists are in the order of the rest markers.
-#[derive(Clone, Copy, Debug)]
-pub struct MovedMarkers<'a> {
-    /// Positions, sensor frame, millimetres.
-    pub points_mm: &'a [DVec3],
-    /// Their covariances, mm²; those of the rest positions are added. A marker is not used if the sum is not
-    /// positive definite.
-    pub covariance_mm2: &'a [Symmetric<3>],
-    /// Only markers that are seen are used.
-    pub state: &'a [MarkerState],
-    /// Whether the part touches the gel here.
-    pub patch: &'a [bool],
-}
-
 /// Estimates the tractions on a gel and their wrench. It allocates nothing after it was made.
 #[derive(Clone, Debug)]
 pub struct ForceEstimator {
     params: ForceParams,
+    /// Without a layer.
+    stiffness: Option<Stiffness>,
     young_kpa: f64,
     influence: Influence,
     thickness_mm: f64,
@@ -106,19 +96,23 @@ impl ForceEstimator {
         rest_covariance_mm2: &[Symmetric<3>],
     ) -> Result<Self, ForceError> {
         params.validate().map_err(ForceError::Params)?;
+        let stiffness = stiffness(params);
+        // Forces by stiffness do not depend on the modulus.
+        let young_kpa = params.young_kpa.or(stiffness.map(|_| 1.0));
         let (Some(thickness_mm), Some(young_kpa), true) =
-            (params.thickness_mm, params.young_kpa, params.method != ForceMethod::None)
+            (params.thickness_mm, young_kpa, params.method != ForceMethod::None)
         else {
-            let (setting, required) = ("a wrench", "force.method = \"ridge\" or \"bounded\"");
+            let (setting, required) = ("a wrench", "force.method other than \"none\"");
             return Err(ForceError::Params(ParamsError::Requires { setting, required }));
         };
         let (axes, pitch_mm) = square_lattice(rest.points_mm(), rest.normal(), cols)?;
         let markers = rest.points_mm().len();
         check_length(markers, rest_covariance_mm2.len())?;
-        let side = cols.max(markers / cols);
+        let side = if stiffness.is_some() { 1 } else { cols.max(markers / cols) };
         let layer = Layer { thickness_mm, poisson_ratio: params.poisson_ratio };
         let mut made = Self {
             params: params.clone(),
+            stiffness,
             young_kpa,
             influence: Influence::new(&layer, [pitch_mm; 2], side),
             thickness_mm,
@@ -197,6 +191,21 @@ impl ForceEstimator {
             self.variances = None;
             return Ok(None);
         }
+        if let Some(stiffness) = self.stiffness {
+            self.surround();
+            let place = Place {
+                rest: &self.rest,
+                axes: &self.axes,
+                pitch_mm: self.pitch_mm,
+                near: &self.cells.near,
+                is_cut: self.cells.is_cut,
+            };
+            let found = stiffness.wrench(&place, moved, &self.rest_covariance_mm2);
+            if let Some(wrench) = &found {
+                spread(wrench, &place, moved, traction_kpa);
+            }
+            return Ok(found);
+        }
         self.assemble(moved);
         if self.equations.count == 0 || !self.solve() {
             self.variances = None;
@@ -212,9 +221,13 @@ impl ForceEstimator {
         Ok(Some(wrench))
     }
 
+    fn surround(&mut self) {
+        self.cells.surround(self.cols, REACH * self.thickness_mm / self.pitch_mm);
+    }
+
     /// Collects the equations of the seen markers around the contact.
     fn assemble(&mut self, moved: &MovedMarkers<'_>) {
-        self.cells.surround(self.cols, REACH * self.thickness_mm / self.pitch_mm);
+        self.surround();
         self.equations.clear(3 * self.cells.blocks);
         for &n in self.cells.near.iter().filter(|&&n| moved.state[n] == MarkerState::Seen) {
             let motion_mm = moved.points_mm[n] - self.rest.points_mm()[n];
@@ -335,6 +348,14 @@ impl ForceEstimator {
         }
         self.posterior.factor.half(&self.unit, &mut self.halves[component]);
     }
+}
+
+/// Of `resultant`; `None` for other methods.
+fn stiffness(params: &ForceParams) -> Option<Stiffness> {
+    let is_asked = params.method == ForceMethod::Resultant;
+    let (patch, around) = (params.patch_n_per_mm3?, params.around_n_per_mm3?);
+    let shear = params.shear_n_per_mm3?;
+    is_asked.then_some(Stiffness { patch, around, shear, sigma: params.resultant_sigma })
 }
 
 fn check_length(rest: usize, found: usize) -> Result<(), ForceError> {

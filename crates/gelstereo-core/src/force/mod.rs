@@ -5,6 +5,8 @@
 //! its markers. [`ForceEstimator`] finds the most probable ones, given the motion of the markers in and
 //! around the contact with their covariances, and states the [`Wrench`] with its covariance.
 //!
+//! Without a layer, known loads tell how stiff the gel is, and the wrench is a sum over the markers.
+//!
 //! The weights of the prior come from the data: the evidence is maximised over the variances of pressures,
 //! shears and noise (MacKay 1992, "Bayesian interpolation"). If the layer does not explain the motion to
 //! within the noise, the covariance widens.
@@ -15,8 +17,11 @@ mod equations;
 mod error;
 mod estimator;
 mod evidence;
+mod moved;
+mod resultant;
 mod wrench;
 
 pub use error::ForceError;
-pub use estimator::{ForceEstimator, MovedMarkers};
+pub use estimator::ForceEstimator;
+pub use moved::MovedMarkers;
 pub use wrench::Wrench;
