@@ -143,6 +143,30 @@ def test_the_stick_ratio_is_the_simulators() -> None:
     assert np.median(moved) < 6.0
 
 
+def test_gel_that_strains_as_it_is_pressed_does_not_slip() -> None:
+    """Markers stray sideways by a hundredth of how deep they are pressed. A tenth of a millimetre is slip."""
+    random, rest = np.random.default_rng(5), lattice()
+    stray = 0.01 * random.normal(size=(len(rest), 2))
+    covariance = np.tile(np.diag(SIGMA_MM**2), (len(rest), 1, 1))
+    found = {}
+    for share in (0.0, 0.02):
+        params = RIGID.replace(slip={"method": "rigid", "strain_share": share})
+        tracker = gs.SlipTracker(gs.RestSurface(rest), params, cols=SIDE)
+        counts = []
+        for step in range(12):
+            depth_mm = 0.05 * step
+            points = rest + SIGMA_MM * random.normal(size=rest.shape)
+            points[:, 2] -= depth_mm
+            points[:, :2] += depth_mm * stray
+            points[40, 0] += 0.1 * (step == 11)
+            stick, _ = tracker.run(points, covariance, [True] * len(rest))
+            counts.append(int(np.sum(stick == gs.Stick.SLIPS)))
+            slips = stick[40] == gs.Stick.SLIPS
+        found[share] = counts, slips
+    assert max(found[0.0][0][:-1]) > 5
+    assert found[0.02] == ([0] * 11 + [1], True)
+
+
 def test_settings_and_lists_are_checked() -> None:
     rest = gs.RestSurface(lattice())
     with pytest.raises(gs.ContactError, match="81 markers do not fill rows of 7"):
@@ -151,6 +175,8 @@ def test_settings_and_lists_are_checked() -> None:
         RIGID.replace(slip={"method": "rigid", "frame_rate_hz": 0.0})
     with pytest.raises(gs.ParamsError, match=r"slip\.strain_sigma_mm"):
         RIGID.replace(slip={"method": "rigid", "strain_sigma_mm": -0.01})
+    with pytest.raises(gs.ParamsError, match=r"slip\.strain_share is 2; valid is 0 to 1"):
+        RIGID.replace(slip={"method": "rigid", "strain_share": 2.0})
     tracker = gs.SlipTracker(rest, RIGID, cols=SIDE)
     assert repr(tracker) == "<SlipTracker: 81 markers>"
     with pytest.raises(gs.ContactError, match="a list has 80 entries"):

@@ -39,8 +39,17 @@ SIDE, _PRESSING, _MOVING = 25, 5, 28
 _LATE, _GROSS = 0.7, 0.1
 
 
-#: Settings of `slip.strain_sigma_mm` that are compared.
-STRAINS_MM = (0.0, 0.004, 0.01, 0.03)
+#: Settings of `slip.strain_sigma_mm` and `slip.strain_share` that are compared.
+STRAINS = (
+    (0.0, 0.0),
+    (0.004, 0.0),
+    (0.01, 0.0),
+    (0.03, 0.0),
+    (0.0, 0.02),
+    (0.0, 0.04),
+    (0.0, 0.06),
+    (0.004, 0.02),
+)
 
 
 @dataclass(frozen=True)
@@ -160,12 +169,14 @@ def touched(step: Step, rest: RestSurface, points_mm: Array | None) -> npt.NDArr
 
 
 def follow(
-    run: Run, random: np.random.Generator, *, patch_is_known: bool, strain_sigma_mm: float = 0.0
+    run: Run, random: np.random.Generator, *, patch_is_known: bool, strain: tuple[float, float] = (0.0, 0.0)
 ) -> list[Seen]:
-    """Find the slip of every frame with contact, from markers with noise."""
+    """Find the slip of every frame with contact, from markers with noise. `strain` is one of `STRAINS`."""
     rest_mm = run.steps[0].points_mm
     rest, count = RestSurface(rest_mm), len(rest_mm)
-    params = Params().replace(slip={"method": "rigid", "strain_sigma_mm": strain_sigma_mm})
+    params = Params().replace(
+        slip={"method": "rigid", "strain_sigma_mm": strain[0], "strain_share": strain[1]}
+    )
     tracker = SlipTracker(rest, params, cols=SIDE)
     covariance = np.tile(np.diag(SIGMA_MM**2), (count, 1, 1))
     seen, first = [], None
@@ -251,16 +262,16 @@ def main(arguments: list[str] | None = None) -> int:
     replace_between(options.docs / "slip.md", "ratios", table([*head, "motion, median error, um"], ratios))
     head = ["patch", "slip found while 0.7 stick", "false alarms", "gross slip at most one frame late"]
     replace_between(options.docs / "slip.md", "alarms", table([*head, "gross slip without one"], alarms))
-    head[0] = "`slip.strain_sigma_mm`"
-    strains = [_strained(strain_mm, made) for strain_mm in STRAINS_MM]
+    head[:1] = ["`slip.strain_sigma_mm`", "`slip.strain_share`"]
+    strains = [_strained(strain, made) for strain in STRAINS]
     replace_between(options.docs / "slip.md", "strains", table([*head, "gross slip without one"], strains))
     return 0
 
 
-def _strained(strain_sigma_mm: float, made: list[Run]) -> list[str]:
+def _strained(strain: tuple[float, float], made: list[Run]) -> list[str]:
     random = np.random.default_rng(31)
-    seen = [follow(run, random, patch_is_known=False, strain_sigma_mm=strain_sigma_mm) for run in made]
-    return _alarms(f"{strain_sigma_mm:g}", seen)
+    seen = [follow(run, random, patch_is_known=False, strain=strain) for run in made]
+    return [f"{strain[0]:g}", *_alarms(f"{strain[1]:g}", seen)]
 
 
 if __name__ == "__main__":

@@ -49,6 +49,11 @@ pub struct SlipParams {
     /// noise: gel between skin and marker strains, and a recorder may smooth over time. Valid: 0 to 1 mm.
     /// Default: `0` mm, for the simulator's gels. Raise it until parts that stick are not reported to slip.
     pub strain_sigma_mm: f64,
+    /// Standard deviation per axis of a marker from the rigid motion of a part that sticks, for each
+    /// millimetre by which it was pressed deeper since it touched, or was let out. Valid: 0 to 1. Default:
+    /// `0`, for the simulator's gels. Raise it until parts that are pressed or rolled are not reported to
+    /// slip.
+    pub strain_share: f64,
     /// Shape of the part where it touches the gel, for the margin from the stick ratio. Default: `unknown`,
     /// without such a margin. Set it for round parts whose friction or forces are not known.
     pub shape: SlipShape,
@@ -61,6 +66,7 @@ impl Default for SlipParams {
             false_alarms_per_hour: 1.0,
             frame_rate_hz: 30.0,
             strain_sigma_mm: 0.0,
+            strain_share: 0.0,
             shape: SlipShape::Unknown,
         }
     }
@@ -77,7 +83,8 @@ impl SlipParams {
         check((1e-6..=3600.0).contains(&alarms), "slip.false_alarms_per_hour", alarms, valid)?;
         check((1e-3..=1e5).contains(&rate_hz), "slip.frame_rate_hz", rate_hz, "0.001 to 100000 Hz")?;
         let sigma_mm = self.strain_sigma_mm;
-        check((0.0..=1.0).contains(&sigma_mm), "slip.strain_sigma_mm", sigma_mm, "0 to 1 mm")
+        check((0.0..=1.0).contains(&sigma_mm), "slip.strain_sigma_mm", sigma_mm, "0 to 1 mm")?;
+        check((0.0..=1.0).contains(&self.strain_share), "slip.strain_share", self.strain_share, "0 to 1")
     }
 
     /// Squared distance, in variances of two components, that one of `tests` in each frame exceeds by noise

@@ -50,6 +50,8 @@ pub struct SlipTracker {
     cols: usize,
     /// Two directions along the gel.
     along: [DVec3; 2],
+    /// Towards the camera.
+    up: DVec3,
     anchors: Vec<Anchor>,
     pose: Pose,
     is_gross: bool,
@@ -74,7 +76,8 @@ impl SlipTracker {
         anchors.resize(markers, Anchor::default());
         let (params, pairs) = (params.clone(), Vec::with_capacity(markers));
         let pose = Pose::IDENTITY;
-        Ok(Self { params, cols, along: [x, y], anchors, pose, is_gross: false, pairs, touched: 0 })
+        let up = rest.normal();
+        Ok(Self { params, cols, along: [x, y], up, anchors, pose, is_gross: false, pairs, touched: 0 })
     }
 
     /// Number of markers.
@@ -137,7 +140,9 @@ impl SlipTracker {
             if !anchor.is_set || anchor.slips || !is_usable(moved, i) {
                 continue;
             }
-            let covariance = self.noise(&moved.covariance_mm2[i], &turned(&turn, &anchor.covariance_mm2));
+            let lifted_mm = self.lifted_mm(anchor, moved.points_mm[i]);
+            let anchored = turned(&turn, &anchor.covariance_mm2);
+            let covariance = self.noise(&moved.covariance_mm2[i], &anchored, lifted_mm);
             if let Some(factor) = Factor::new(&covariance) {
                 let (anchor_mm, point_mm) = (anchor.part_mm, moved.points_mm[i]);
                 self.pairs.push(Pair { anchor_mm, point_mm, factor });
@@ -174,7 +179,8 @@ impl SlipTracker {
         let Some(motion) = motion else { return Stick::Unknown };
         let turn = self.pose.matrix();
         let at_mm = self.pose.transform_point(anchor.part_mm);
-        let mut noise = self.noise(covariance, &turned(&turn, &anchor.covariance_mm2));
+        let anchored = turned(&turn, &anchor.covariance_mm2);
+        let mut noise = self.noise(covariance, &anchored, self.lifted_mm(&anchor, point_mm));
         if anchor.slips {
             // The others were used by the fit, which makes their residuals smaller.
             noise = sum(&noise, &of_motion(motion, at_mm));
@@ -192,11 +198,17 @@ impl SlipTracker {
         if anchor.slips { Stick::Slips } else { Stick::Stuck }
     }
 
-    /// Covariance of a marker's distance from where its anchor has moved.
-    fn noise(&self, now: &Symmetric<3>, anchor: &Symmetric<3>) -> Symmetric<3> {
+    /// How much deeper a marker is pressed than where it was anchored.
+    fn lifted_mm(&self, anchor: &Anchor, point_mm: DVec3) -> f64 {
+        (point_mm - anchor.sensor_mm).dot(self.up)
+    }
+
+    /// Covariance of a marker's distance from where its anchor has moved, after it was lifted by so much.
+    fn noise(&self, now: &Symmetric<3>, anchor: &Symmetric<3>, lifted_mm: f64) -> Symmetric<3> {
         let mut noise = sum(now, anchor);
-        let strain_sigma_mm = self.params.strain_sigma_mm;
-        noise.iter_mut().enumerate().for_each(|(i, row)| row[i] += strain_sigma_mm * strain_sigma_mm);
+        let (strain_mm, of_lift_mm) = (self.params.strain_sigma_mm, self.params.strain_share * lifted_mm);
+        let variance = strain_mm * strain_mm + of_lift_mm * of_lift_mm;
+        noise.iter_mut().enumerate().for_each(|(i, row)| row[i] += variance);
         noise
     }
 
