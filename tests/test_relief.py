@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import gelstereo as gs
+from gelstereo.geometry import se3_exp
 
 BALL_MM = 4.0
 RELIEFS: list[dict[str, Any]] = [
@@ -45,6 +46,45 @@ def test_a_press_on_a_curved_gel_is_sensed_against_its_rest(relief: dict[str, An
     assert not frame.salient[~pressed.in_contact].any()
     assert pressed.loads is not None and frame.wrench is not None
     np.testing.assert_allclose(frame.wrench.force_n, pressed.loads.force_n, atol=0.01)
+
+
+@pytest.mark.parametrize("relief", [None, *RELIEFS[:3]], ids=["plane", "dome", "hollow", "cylinder"])
+def test_the_patch_alone_locates_a_part_on_a_curved_gel(relief: dict[str, Any] | None) -> None:
+    """The gel's model is that of a plane: without it, poses are as right as on a plane. With it, the verdict
+    may be other than that they fit, and says so.
+    """
+    params = gs.Params.preset("exact")
+    parts: list[tuple[dict[str, Any], float]] = [
+        ({"kind": "sphere", "radius_mm": BALL_MM}, 0.0),
+        ({"kind": "cylinder", "radius_mm": BALL_MM, "length_mm": 20.0}, np.pi / 2),
+    ]
+    for part, lies in parts:
+        scene = gs.Scene().replace(
+            indenter=part, effects={"elastic_layer": {}, "defocus": {}, "sensor_noise": {"sigma_levels": 1.0}}
+        )
+        simulator = gs.Simulator(scene if relief is None else scene.replace({"gel.relief": relief}))
+        pose = np.array(se3_exp([lies, 0.0, 0.0, 0.0, 0.0, 0.0]))
+        pose[:3, 3] = 5.0, 1.0, 40.0
+        pose = np.asarray(simulator.pressed(pose, 0.9))
+        pipeline = gs.Pipeline(simulator.scene.rig, params)
+        for image in (simulator.press(frame=0), simulator.press(pose, frame=1)):
+            frame = pipeline.process(image.left, image.right)
+        template = gs.Template.from_triangles(*gs.geometry.shape_mesh(part))
+        guess = pose @ se3_exp([0.02, -0.02, 0.02, 0.3, -0.3, 0.3])
+        found = gs.localize(
+            frame.patch_points_mm,
+            template,
+            guess=guess,
+            params=params,
+            covariance_mm2=frame.covariance_mm2[frame.patch],
+        )
+        off = np.linalg.inv(pose) @ found.t_sensor_object
+        # A ball does not show its rotation, nor a cylinder its shift along its axis, z.
+        seen = off[:3, 3] if lies == 0.0 else off[:2, 3]
+        assert found.model == "surface" and found.verdict == "fits"
+        assert np.linalg.norm(seen) < 0.03, seen
+        with_gel = gs.localize(frame, template, guess=guess, params=params)
+        assert relief is not None or with_gel.verdict == "fits"
 
 
 def test_scenes_state_their_relief() -> None:
