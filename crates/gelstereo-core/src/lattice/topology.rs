@@ -152,7 +152,7 @@ fn odd_rows_forward(cols: usize, rest_mm: &[DVec3]) -> bool {
     let row = |row: usize| rest_mm.get(row * cols..(row + 1) * cols);
     let mut shift = 0.0;
     for even in (0..rest_mm.len() / cols).step_by(2) {
-        for odd in [even.wrapping_sub(1), even + 1] {
+        for odd in [even.checked_sub(1), Some(even + 1)].into_iter().flatten() {
             if let (Some(even), Some(odd)) = (row(even), row(odd)) {
                 shift += even.iter().zip(odd).map(|(even, odd)| (*odd - *even).dot(along)).sum::<f64>();
             }
