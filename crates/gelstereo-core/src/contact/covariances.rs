@@ -56,7 +56,7 @@ impl Covariances {
         self.shared.clear();
         self.shared.resize(stencils.len(), [0.0; SHARED.len()]);
         for (k, &variance) in variance_mm2.iter().enumerate() {
-            let [_, left, right, up, down, ..] = stencils[k].map(|weight| weight != 0.0);
+            let [_, left, right, up, down] = stencils[k].map(|weight| weight != 0.0);
             // Markers whose stencils include this one, and its weight there: above, left, itself, right,
             // below.
             let whose = [k.wrapping_sub(cols), k.wrapping_sub(1), k, k + 1, k + cols];

@@ -1,7 +1,7 @@
 //! The lattice of markers and the stencils of their pressures.
 
 use super::{ContactError, RestSurface};
-use crate::lattice::{MAX_NEIGHBOURS, Topology};
+use crate::lattice::Topology;
 use crate::track::MarkerState;
 use alloc::vec::Vec;
 
@@ -18,12 +18,13 @@ pub(super) struct Stencils {
     pub rows: usize,
     pub cols: usize,
     pub decay_mm: f64,
-    /// Weights of the marker, and of those before and after it along each axis; 0 where there is none.
-    pub weights: Vec<[f64; TAPS]>,
+    /// Weights of the marker, and of those before and after it along the row and the second axis; 0 where
+    /// there is none.
+    pub weights: Vec<[f64; 5]>,
+    /// The same of those before and after it along the third axis of a hexagonal print.
+    leaning: Vec<[f64; 2]>,
 }
 
-/// Largest number of markers of a stencil.
-pub(super) const TAPS: usize = 1 + MAX_NEIGHBOURS;
 /// The Laplacian of a hexagonal lattice is this share of the sum of the second differences along its axes.
 const HEXAGONAL: f64 = 2.0 / 3.0;
 
@@ -40,27 +41,32 @@ impl Stencils {
         check_decay(decay_mm)?;
         let l2 = decay_mm * decay_mm;
         let l2 = if topology.is_hexagonal() { HEXAGONAL * l2 } else { l2 };
-        let stencil = |i: usize| {
-            let (mut weights, mut sum) = ([0.0; TAPS], 0.0);
-            for axis in 0..topology.axes() {
-                let apart = |count| topology.step(i, axis, count).map(|j| points[i].distance(points[j]));
-                let [before, after] = second_difference(apart(-1), apart(1));
-                (weights[2 * axis + 1], weights[2 * axis + 2]) = (-l2 * before, -l2 * after);
-                sum = sum + before + after;
-            }
-            weights[0] = 1.0 + l2 * sum;
-            weights
+        let differences = |i: usize, axis: usize| {
+            let apart = |count| topology.step(i, axis, count).map(|j| points[i].distance(points[j]));
+            second_difference(apart(-1), apart(1))
         };
-        Ok(Self { topology, rows, cols, decay_mm, weights: (0..points.len()).map(stencil).collect() })
+        let third = |i: usize| if topology.is_hexagonal() { differences(i, 2) } else { [0.0; 2] };
+        let stencil = |i: usize| {
+            let ([left, right], [up, down]) = (differences(i, 0), differences(i, 1));
+            let [before, after] = third(i);
+            let sum = left + right + up + down + before + after;
+            [1.0 + l2 * sum, -l2 * left, -l2 * right, -l2 * up, -l2 * down]
+        };
+        let weights = (0..points.len()).map(stencil).collect();
+        let hexagonal = if topology.is_hexagonal() { points.len() } else { 0 };
+        let leaning = (0..hexagonal).map(|i| third(i).map(|weight| -l2 * weight)).collect();
+        Ok(Self { topology, rows, cols, decay_mm, weights, leaning })
     }
 
     /// Sets another decay length; the second differences scale with its square.
     pub fn set_decay(&mut self, decay_mm: f64) -> Result<(), ContactError> {
         check_decay(decay_mm)?;
         let times = (decay_mm / self.decay_mm) * (decay_mm / self.decay_mm);
-        for [own, around @ ..] in &mut self.weights {
+        self.leaning.iter_mut().flatten().for_each(|weight| *weight *= times);
+        for (i, [own, around @ ..]) in self.weights.iter_mut().enumerate() {
             around.iter_mut().for_each(|weight| *weight *= times);
-            *own = 1.0 - around.iter().sum::<f64>();
+            let leaning = self.leaning.get(i).map_or(0.0, |[before, after]| before + after);
+            *own = 1.0 - (around.iter().sum::<f64>() + leaning);
         }
         self.decay_mm = decay_mm;
         Ok(())
@@ -68,18 +74,15 @@ impl Stencils {
 
     /// Marker and neighbours of a stencil, with their weights.
     pub fn taps(&self, i: usize) -> impl Iterator<Item = (usize, f64)> {
-        let [mut left, mut right] = [i; 2];
-        if self.topology.is_hexagonal() {
-            // Of the axes that lean to the right and to the left.
-            left = self.topology.step(i, 2, -1).unwrap_or(i);
-            right = self.topology.step(i, 2, 1).unwrap_or(i);
-        }
-        let lean = |count| match self.topology.is_hexagonal() {
-            true => self.topology.step(i, 1, count).unwrap_or(i),
+        let beside = |axis: usize, count: isize| match self.topology.is_hexagonal() {
+            true => self.topology.step(i, axis, count).unwrap_or(i),
             false => i.wrapping_add_signed(count * self.cols as isize),
         };
-        let places = [i, i.wrapping_sub(1), i + 1, lean(-1), lean(1), left, right];
-        places.into_iter().zip(self.weights[i]).filter(|&(_, weight)| weight != 0.0)
+        let places = [i, i.wrapping_sub(1), i + 1, beside(1, -1), beside(1, 1)];
+        let leaning =
+            self.leaning.get(i).map(|&weights| [beside(2, -1), beside(2, 1)].into_iter().zip(weights));
+        let taps = places.into_iter().zip(self.weights[i]).chain(leaning.into_iter().flatten());
+        taps.filter(|&(_, weight)| weight != 0.0)
     }
 
     /// Whether a marker has neighbours on both sides along every axis.

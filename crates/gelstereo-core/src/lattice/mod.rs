@@ -34,7 +34,7 @@ pub use found::{FoundLattice, Place, Side, Sites};
 pub use layout::Layout;
 pub(crate) use rest::rest_lattice_by;
 pub use rest::{rest_lattice, rest_lattice_of};
-pub use topology::{MAX_NEIGHBOURS, Topology};
+pub use topology::Topology;
 pub(crate) use view_lattice::ViewLattice;
 
 use crate::math::DVec2;

@@ -24,9 +24,6 @@ enum Offset {
     Backward,
 }
 
-/// Largest number of neighbours of a place.
-pub const MAX_NEIGHBOURS: usize = 6;
-
 impl Topology {
     /// Rows and columns at right angles.
     #[must_use]
