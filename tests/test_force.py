@@ -325,7 +325,7 @@ def test_a_resultant_is_a_sum_over_the_markers() -> None:
         )
         expected += jacobian @ each @ jacobian.T
     pressing, pulling = abs(wrench.force_n[2]), np.hypot(*wrench.force_n[:2])
-    radius = np.sqrt(heights @ np.sum((arms - centre) ** 2, axis=1) / heights.sum())
+    radius = np.sqrt(heights @ np.sum((arms - centre) ** 2, axis=1) / heights.sum() + 0.81 / 6.0)
     for axis in np.eye(3)[:2]:
         aside = 0.02 * pressing * np.concatenate([axis, np.cross(centre, axis)])
         off = 0.2 * radius * pressing * np.concatenate([np.zeros(3), axis])
@@ -346,6 +346,9 @@ def test_a_resultant_is_a_sum_over_the_markers() -> None:
     assert wider is not None
     added = np.diag(wider.covariance - wrench.covariance)[:3]
     np.testing.assert_allclose(added, (0.2 * wrench.force_n) ** 2, atol=1e-9)
+    # A single marker leaves no direction of the covariance without a width.
+    _, single = estimator.run(rest + motion, covariance, [k == 50 for k in range(len(rest))])
+    assert single is not None and np.linalg.eigvalsh(single.covariance)[0] > 0.0
     # Markers that are not seen move like the others of their kind.
     lost = rest + 0.1
     lost[np.flatnonzero(patch)[:2]] = np.nan

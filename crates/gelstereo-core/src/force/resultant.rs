@@ -136,7 +136,7 @@ impl Stiffness {
 /// Where the part presses, by the heights of the patch.
 struct Pressure {
     centre_mm: DVec3,
-    /// Of gyration.
+    /// Of gyration, with that of the square around a marker.
     radius_mm: f64,
 }
 
@@ -147,13 +147,14 @@ impl Pressure {
             place.near.iter().map(|&n| height_mm(n, place, moved) * of(n)).sum::<f64>()
         };
         let total = sum(&|_| 1.0);
+        let of_square = place.pitch_mm * place.pitch_mm / 6.0;
         if total <= 0.0 {
-            return Self { centre_mm: place.rest.centre_mm(), radius_mm: 0.0 };
+            return Self { centre_mm: place.rest.centre_mm(), radius_mm: sqrt(of_square) };
         }
         let centre = [0, 1, 2].map(|k| sum(&|n| points[n][k]) / total);
         let centre_mm = DVec3::from_array(centre);
         let squared = sum(&|n| points[n].distance_squared(centre_mm)) / total;
-        Self { centre_mm, radius_mm: sqrt(squared.max(0.0)) }
+        Self { centre_mm, radius_mm: sqrt(squared + of_square) }
     }
 }
 
