@@ -34,6 +34,8 @@ pub mod replay;
 #[cfg(feature = "host")]
 pub mod report;
 #[cfg(feature = "host")]
+mod rest_noise;
+#[cfg(feature = "host")]
 pub mod robot;
 #[cfg(feature = "host")]
 pub mod run;

@@ -4,47 +4,14 @@ use super::TaskError;
 use super::cell::Cell;
 use super::error::Halt;
 use crate::config::Config;
+use crate::rest_noise::{FRAMES, RestNoise};
 use serde::Serialize;
 
-/// Frames for a relative standard error of the scale of one fifth. The median absolute deviation has 37 %
-/// of the efficiency of the standard deviation on normal noise: 1 / (2 * 0.37 * 0.2²) = 34 frames.
-const FRAMES: usize = 34;
-/// Standard deviation of a normal distribution divided by its median absolute deviation.
-const NORMAL_MAD: f64 = 1.4826;
 /// Lowest trigger in sigmas. On normal noise, one false alarm in 1e7 frames (four days of guarded moves
 /// at 30 Hz) is at 5.2 sigmas. The scale may be two standard errors too small: 5.2 * (1 + 2 * 0.2) = 7.3.
 /// Over all measured levels and scales that is 0.2 false alarms per hour of guarded moves on average, most
 /// of them after the one rest in a hundred whose scale is below 0.6 of the true one.
 pub const MIN_SIGMAS: f64 = 7.3;
-
-/// Mean marker motion relative to the rest frame, with nothing touching the gel.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub(super) struct RestNoise {
-    /// Median; not zero, because lengths of motions are positive.
-    pub(super) level_px: f64,
-    /// Robust standard deviation.
-    pub(super) sigma_px: f64,
-    pub(super) frames: usize,
-}
-
-impl RestNoise {
-    fn of(mut motions_px: Vec<f64>) -> Self {
-        let frames = motions_px.len();
-        let level_px = median(&mut motions_px);
-        let mut deviations: Vec<f64> = motions_px.iter().map(|motion| (motion - level_px).abs()).collect();
-        Self { level_px, sigma_px: NORMAL_MAD * median(&mut deviations), frames }
-    }
-
-    /// Motion this many sigmas above the level.
-    fn at(&self, sigmas: f64) -> f64 {
-        self.level_px + sigmas * self.sigma_px
-    }
-}
-
-fn median(values: &mut [f64]) -> f64 {
-    values.sort_unstable_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or_default()
-}
 
 /// The triggers of a task, in pixels of mean marker motion.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
