@@ -21,7 +21,18 @@ COLUMNS = [
     "reason in the source",
     "range tried and effect",
 ]
-STAGES = ["detect", "lattice", "track", "triangulate", "contact", "register", "pipeline"]
+STAGES = [
+    "detect",
+    "lattice",
+    "track",
+    "triangulate",
+    "contact",
+    "force",
+    "slip",
+    "motion",
+    "register",
+    "pipeline",
+]
 CHOSEN_ON = {
     "simulated images",
     "simulated contacts",

@@ -17,7 +17,7 @@ from gelstereo import ForceEstimator, LayerContact, Params, RestSurface, Wrench
 from gelstereo.force.resultant import NAMES, fit_stiffness
 from gelstereo_bench.reports.markdown import replace_between, table
 
-__all__ = ["METHODS", "Contact", "Errors", "contacts", "errors", "main"]
+__all__ = ["METHODS", "Contact", "Errors", "contacts", "errors", "errors_of", "main"]
 
 Array = npt.NDArray[np.float64]
 
@@ -135,10 +135,11 @@ def errors(contact: Contact, method: str) -> Errors:
         "poisson_ratio": contact.poisson_ratio,
         "young_kpa": _YOUNG_KPA,
     }
-    return _errors(contact, force)
+    return errors_of(contact, force)
 
 
-def _errors(contact: Contact, force: dict[str, object]) -> Errors:
+def errors_of(contact: Contact, force: dict[str, object]) -> Errors:
+    """The same with these settings."""
     traction, wrench = _sensed(contact, force)
     error = np.concatenate([wrench.force_n, wrench.torque_nmm]) - contact.wrench
     pressure = contact.traction_kpa[:, 2]
@@ -193,7 +194,7 @@ def _resultants(count: int) -> list[list[str]]:
         force = _stiffness(balls, thickness_mm)
         tested = list(contacts(count, 7, (thickness_mm, poisson)))
         for kind, name in enumerate(("balls", "plates", "cylinders")):
-            found = [_errors(contact, force) for contact in tested[kind::3]]
+            found = [errors_of(contact, force) for contact in tested[kind::3]]
             rms = [100 * np.sqrt(np.mean([e.normal**2 for e in found]))]
             rms += [
                 100 * np.median([getattr(e, each) for e in found]) for each in ("normal", "shear", "twist")

@@ -26,7 +26,19 @@ from gelstereo import (
 from gelstereo.geometry import se3_exp
 from gelstereo_bench.reports.markdown import replace_between, table
 
-__all__ = ["KINDS", "MOTIONS", "SIDE", "SIGMA_MM", "Run", "Step", "follow", "main", "runs", "touched"]
+__all__ = [
+    "KINDS",
+    "MOTIONS",
+    "SIDE",
+    "SIGMA_MM",
+    "Run",
+    "Step",
+    "alarms",
+    "follow",
+    "main",
+    "runs",
+    "touched",
+]
 
 Array = npt.NDArray[np.float64]
 
@@ -220,7 +232,7 @@ def _first(seen: list[Seen], when: SlipStatus) -> int | None:
     return next((k for k, s in enumerate(seen) if s.status >= when), None)
 
 
-def _alarms(name: str, seen: list[list[Seen]]) -> list[str]:
+def alarms(name: str, seen: list[list[Seen]]) -> list[str]:
     """When slip was found: while how much still stuck; and gross slip."""
     slipping = [run for run in seen if any(s.truth < _LATE for s in run)]
     found = [_first(run, SlipStatus.INCIPIENT) for run in slipping]
@@ -257,7 +269,7 @@ def main(arguments: list[str] | None = None) -> int:
         for kind in KINDS:
             of_kind = [s for s, run in zip(seen, made, strict=True) if run.kind == kind]
             ratios.append(_ratios(f"{kind}, {name}", of_kind))
-        alarms.append(_alarms(name, seen))
+        alarms.append(alarms(name, seen))
     head = ["contacts", "count", "rms error of the stick ratio", "mean", "true ratio in the range, %"]
     replace_between(options.docs / "slip.md", "ratios", table([*head, "motion, median error, um"], ratios))
     head = ["patch", "slip found while 0.7 stick", "false alarms", "gross slip at most one frame late"]
@@ -271,7 +283,7 @@ def main(arguments: list[str] | None = None) -> int:
 def _strained(strain: tuple[float, float], made: list[Run]) -> list[str]:
     random = np.random.default_rng(31)
     seen = [follow(run, random, patch_is_known=False, strain=strain) for run in made]
-    return [f"{strain[0]:g}", *_alarms(f"{strain[1]:g}", seen)]
+    return [f"{strain[0]:g}", *alarms(f"{strain[1]:g}", seen)]
 
 
 if __name__ == "__main__":

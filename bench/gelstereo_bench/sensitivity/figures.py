@@ -40,6 +40,7 @@ _KINDS: tuple[tuple[str, Kind], ...] = (
     ("bound", "ratio"),
     ("um", "error"),
     ("px", "error"),
+    ("degrees", "error"),
 )
 
 
