@@ -261,19 +261,19 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--docs", type=Path, default=Path("docs"), help="folder of the manual")
     parser.add_argument("--contacts", type=int, default=180, help="number of contacts")
     options = parser.parse_args(arguments)
-    ratios, alarms = [], []
+    by_kind, by_patch = [], []
     made = list(runs(options.contacts, seed=30))
     for name, patch_is_known in (("known patch", True), ("patch from heights", False)):
         random = np.random.default_rng(31)
         seen = [follow(run, random, patch_is_known=patch_is_known) for run in made]
         for kind in KINDS:
             of_kind = [s for s, run in zip(seen, made, strict=True) if run.kind == kind]
-            ratios.append(_ratios(f"{kind}, {name}", of_kind))
-        alarms.append(alarms(name, seen))
+            by_kind.append(_ratios(f"{kind}, {name}", of_kind))
+        by_patch.append(alarms(name, seen))
     head = ["contacts", "count", "rms error of the stick ratio", "mean", "true ratio in the range, %"]
-    replace_between(options.docs / "slip.md", "ratios", table([*head, "motion, median error, um"], ratios))
+    replace_between(options.docs / "slip.md", "ratios", table([*head, "motion, median error, um"], by_kind))
     head = ["patch", "slip found while 0.7 stick", "false alarms", "gross slip at most one frame late"]
-    replace_between(options.docs / "slip.md", "alarms", table([*head, "gross slip without one"], alarms))
+    replace_between(options.docs / "slip.md", "alarms", table([*head, "gross slip without one"], by_patch))
     head[:1] = ["`slip.strain_sigma_mm`", "`slip.strain_share`"]
     strains = [_strained(strain, made) for strain in STRAINS]
     replace_between(options.docs / "slip.md", "strains", table([*head, "gross slip without one"], strains))
