@@ -27,8 +27,10 @@ const CLEARLY: f64 = 5.0;
 /// Largest error of the pitch, on a logarithmic scale: half of what a column changes with the figures above.
 const MAX_ERROR: f64 = 0.05;
 
-/// The same of two lattices that are whole, each for itself, from which they may be different parts of one.
-const MAX_WHOLE_ERROR: f64 = 0.02;
+/// The same of two lattices that are whole, each for itself: a factor of three. Settings with a wrong pitch
+/// are far more frequent than wider prints whose views are whole, and another shift often fits them by
+/// chance: a print of 0.65 mm with a setting of 0.9 mm fits within 2 % four columns off.
+const MAX_WHOLE_ERROR: f64 = 1.1;
 
 /// What is needed to compare the two views.
 pub(super) struct Views<'a> {
@@ -45,7 +47,7 @@ struct Candidate {
 
 impl Views<'_> {
     /// Whether two whole lattices may be different parts of one that is wider than the views: they reach the
-    /// border of an image, and their pitch is not the print's.
+    /// border of an image, and cannot be triangulated or are far from the print's pitch.
     pub fn may_be_others(&self, stages: [&ViewStages; 2], rests: &[RestLattice; 2]) -> bool {
         let reaches = rests.iter().zip(stages).any(|(rest, stages)| {
             let (low, high) = stages.searched_px();
