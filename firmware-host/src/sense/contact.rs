@@ -161,8 +161,8 @@ mod tests {
         }
     }
 
-    /// After 34 frames at rest, motion is told in their standard deviations, and a trigger in these is
-    /// crossed.
+    /// After 34 frames at rest, the meter states motion in their standard deviations. A trigger in that unit
+    /// then fires.
     #[test]
     fn triggers_may_be_in_sigmas() {
         let mut config = Config::default();

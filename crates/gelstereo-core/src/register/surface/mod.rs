@@ -105,17 +105,18 @@ pub(super) fn run(
     let problem = input.checked(rung, raster, samples)?;
     distances.begin(problem.samples);
     let mut search = Search::new(&problem);
-    let conclude = |objective: &mut dyn Objective, found: &[Candidate], outcome: Outcome| {
-        concluded(&problem, objective, found, outcome)
-    };
     match rung {
         Rung::Search => {
             search.screen(candidates);
-            search.finish(candidates, distances, gel, conclude)
+            search.rank(candidates, distances, gel, |search, objective, candidates, end| {
+                let outcome = search.alternatives(objective, candidates, end);
+                concluded(&problem, objective, &candidates.best, outcome)
+            })
         }
         Rung::Close => {
             let outcome = search.close(&mut candidates.best, distances);
-            conclude(&mut DistanceObjective { scratch: distances }, &candidates.best, outcome)
+            let objective = &mut DistanceObjective { scratch: distances };
+            concluded(&problem, objective, &candidates.best, outcome)
         }
     }
 }
@@ -144,8 +145,9 @@ pub(super) fn run_promising(
         return Ok((search.work, None));
     }
     distances.begin(problem.samples);
-    let found = search.finish_best(candidates, distances, gel, |objective, found, outcome| {
-        concluded(&problem, objective, found, outcome)
+    let found = search.rank(candidates, distances, gel, |search, objective, candidates, end| {
+        let outcome = search.best_only(candidates, end);
+        concluded(&problem, objective, &candidates.best[..1], outcome)
     })?;
     Ok((found.work, Some(found)))
 }

@@ -77,38 +77,9 @@ impl Search<'_> {
         runners_up[0].cost
     }
 
-    /// Refines and ranks the candidates by the gel where it explains the contact, otherwise by distances,
-    /// and finds the alternatives. Passes the objective and the outcome to `conclude`.
-    pub fn finish<T>(
-        &mut self,
-        candidates: &mut Candidates,
-        distances: &mut RefineScratch,
-        gel: &mut GelFitScratch,
-        conclude: impl FnOnce(&mut dyn Objective, &[Candidate], Outcome) -> T,
-    ) -> T {
-        self.rank(candidates, distances, gel, |search, objective, candidates, end| {
-            let outcome = search.alternatives(objective, candidates, end);
-            conclude(objective, &candidates.best, outcome)
-        })
-    }
-
-    /// As [`Self::finish`], without alternatives.
-    pub fn finish_best<T>(
-        &mut self,
-        candidates: &mut Candidates,
-        distances: &mut RefineScratch,
-        gel: &mut GelFitScratch,
-        conclude: impl FnOnce(&mut dyn Objective, &[Candidate], Outcome) -> T,
-    ) -> T {
-        self.rank(candidates, distances, gel, |search, objective, candidates, end| {
-            let read = candidates.best[0];
-            let outcome = Outcome { end, read, is_cut: true, is_selected: true, work: search.work };
-            conclude(objective, &[read], outcome)
-        })
-    }
-
-    /// Passes the objective that ranked the candidates, and how the best one ended, to `then`.
-    fn rank<T>(
+    /// Refines and ranks the candidates by the gel where it explains the contact, otherwise by distances.
+    /// Passes the objective, and how the best one ended, to `then`.
+    pub fn rank<T>(
         &mut self,
         candidates: &mut Candidates,
         distances: &mut RefineScratch,
@@ -126,8 +97,13 @@ impl Search<'_> {
         then(self, &mut by_distances, candidates, end)
     }
 
+    /// The best pose alone, which ended as `end` states and is read.
+    pub fn best_only(&self, candidates: &Candidates, end: End) -> Outcome {
+        Outcome { end, read: candidates.best[0], is_cut: true, is_selected: true, work: self.work }
+    }
+
     /// Finds the alternatives to the best pose, which ended as `end` states and is read.
-    fn alternatives(
+    pub fn alternatives(
         &mut self,
         objective: &mut dyn Objective,
         candidates: &mut Candidates,

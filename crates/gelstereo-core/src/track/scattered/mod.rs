@@ -130,8 +130,8 @@ impl ScatteredTracker {
     }
 
     /// As [`Self::initialise`], from a labelled rest frame of at least 3 x 3 markers and its detections.
-    /// Markers that were filled in are held until they are seen. If rows or columns were left out, a step of
-    /// a whole pitch cannot be told from none, and the frame rate must exclude steps of half a pitch.
+    /// Markers that were filled in are held until they are seen. If rows or columns were left out, a step by
+    /// a whole pitch looks like no step. No marker may then move by half a pitch between two frames.
     pub fn initialise_labelled(
         &mut self,
         rest: &RestLattice,
