@@ -26,8 +26,7 @@ ROWS, COLS, PITCH_MM = 20, 21, 0.85
 BALL = Press("ball", 1.0, (0.4, -0.3), radius_mm=6.0)
 #: Where the drawn gel leaves the ball.
 RIM_MM = float(np.sqrt(BALL.radius_mm * BALL.depth_mm))
-#: Markers this near to the rim are not judged: contact is found to about a pitch, and beside it the gel falls
-#: by a factor e over `SHOULDER_MM`.
+#: Error of the contact's border: a pitch, and the part of the shoulder that is nearly as high as the contact.
 ASIDE_MM = PITCH_MM + SHOULDER_MM / 4
 
 
