@@ -8,6 +8,14 @@
 set -eu
 folder=$1
 here=$(dirname "$0")
+plugin="$here/../../python-plugins/lerobot_camera_gelstereo"
+# Parallel test processes ask for the same folder: one makes it and the others wait.
+mkdir -p "$folder"
+exec 9>"$folder/lock"
+flock 9
+newer() { find "$here" "$plugin" -type f -not -path '*/__pycache__/*' -newer "$folder/made"; }
+if [ -e "$folder/made" ] && [ -z "$(newer)" ]; then exit 0; fi
+
 python=${LEROBOT_PYTHON:-/usr/bin/python3}
 [ -x "$python" ] || python=python3
 [ -x "$folder/bin/python" ] || "$python" -m venv --system-site-packages "$folder"
@@ -26,4 +34,5 @@ else
     echo "lerobot: $python has no torch and torchvision; datasets are not tested" >&2
     $pip install --requirement "$here/requirements.txt"
 fi
-$pip install --no-deps --force-reinstall "$here/../../python-plugins/lerobot_camera_gelstereo"
+$pip install --no-deps --force-reinstall "$plugin"
+touch "$folder/made"
