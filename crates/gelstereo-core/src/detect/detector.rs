@@ -221,8 +221,7 @@ impl Detector {
     }
 
     fn doubt_under_glare(&mut self, image: GrayView<'_>, out: &mut Markers) {
-        if !self.rung.get().sees_glare() {
-            self.glares.doubt(image, &mut self.areas_px2, out);
-        }
+        let by_area = !self.rung.get().sees_glare();
+        self.glares.doubt(image, by_area, &mut self.areas_px2, out);
     }
 }

@@ -4,6 +4,7 @@
 use super::blocks::{BLOCK_PX, Blocks};
 use super::blur::{FRACTION_BITS, GaussianBlur};
 use super::noise_level::NoiseLevel;
+use super::reflections::Reflections;
 use super::smooth::Smoother;
 use super::threshold::Thresholds;
 use crate::image::GrayView;
@@ -22,6 +23,7 @@ pub struct Difference {
     radius: usize,
     blocks: Blocks,
     thresholds: Thresholds,
+    reflections: Reflections,
     /// Smoothed image in whole levels, dark markers on a bright gel.
     smoothed: Vec<u8>,
     /// For each block, the level below which a smoothed pixel belongs to a marker.
@@ -67,6 +69,7 @@ impl Difference {
             radius: Blocks::radius_of(kernel_px),
             blocks: Blocks::default(),
             thresholds: Thresholds::default(),
+            reflections: Reflections::new(kernel_px),
             smoothed: Vec::new(),
             block_limits: Vec::new(),
             limits: Limits::default(),
@@ -101,7 +104,15 @@ impl Difference {
                 // A whole level differs by at least `min` if it is below the next whole limit.
                 background.checked_sub(min).map_or(0, |limit| (limit >> FRACTION_BITS) as u8 + 1)
             }));
+            if self.sees_reflections() {
+                self.reflections.look(&self.smoothed, width, &self.blocks);
+            }
         }
+    }
+
+    /// Whether gel beside reflections has its own limits. Reflections are no brighter than bright markers.
+    fn sees_reflections(&self) -> bool {
+        self.threshold == Threshold::Auto && self.polarity == Polarity::Dark
     }
 
     /// Thresholds of the prepared image.
@@ -113,13 +124,19 @@ impl Difference {
     /// must be passed in order, from row 0 on.
     pub fn row(&mut self, image: GrayView<'_>, y: usize, mask: &mut [u8]) {
         let width = image.width();
+        let beside_reflections = self.sees_reflections() && self.reflections.are_in_row(y);
         let levels = self.thresholds.row(y);
         let Limits { below, min } = &mut self.limits;
         match &mut self.rung {
             Rung::Blocks => {
-                if y.is_multiple_of(BLOCK_PX) {
-                    let limits = &self.block_limits[y / BLOCK_PX * levels.len()..][..levels.len()];
+                let limits = &self.block_limits[y / BLOCK_PX * levels.len()..][..levels.len()];
+                if y.is_multiple_of(BLOCK_PX) || beside_reflections {
                     spread(limits, width, below);
+                }
+                if beside_reflections {
+                    let floor_levels = self.thresholds.floor_levels();
+                    let background = &self.blocks.background()[y / BLOCK_PX * levels.len()..][..levels.len()];
+                    self.reflections.limit(y, width, background, floor_levels, below);
                 }
                 darker(&self.smoothed[y * width..][..width], below, mask);
             }

@@ -8,6 +8,7 @@ pub mod blur;
 pub mod components;
 pub mod morphology;
 pub mod noise_level;
+mod reflections;
 pub(super) mod segmentation;
 pub mod smooth;
 pub mod threshold;

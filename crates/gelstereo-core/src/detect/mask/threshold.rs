@@ -99,6 +99,8 @@ pub struct Thresholds {
     levels: Vec<u16>,
     cols: usize,
     feels_noise: bool,
+    /// Least threshold, grey levels.
+    floor_levels: f64,
     contrasts: Contrasts,
     walls: Walls,
     /// Contrasts around the blocks, walls included.
@@ -125,6 +127,7 @@ impl Thresholds {
         self.near.reserve(blocks.means().len());
         self.walls.reserve(blocks.means().len());
         let floor = (NOISE_SIGMAS * noise_levels).max(f64::from(MIN_LEVELS));
+        self.floor_levels = floor;
         let whole = self.contrasts.take(blocks.depths(DEPTH_BITS));
         if self.hides_markers(blocks, radius, whole) {
             self.derive_beside_walls(blocks, radius, whole, floor);
@@ -177,6 +180,12 @@ impl Thresholds {
     #[must_use]
     pub const fn feels_noise(&self) -> bool {
         self.feels_noise
+    }
+
+    /// Least threshold derived, grey levels.
+    #[must_use]
+    pub const fn floor_levels(&self) -> f64 {
+        self.floor_levels
     }
 
     /// Thresholds of all blocks, row by row, with [`FRACTION_BITS`].

@@ -17,7 +17,7 @@ const MIN_SAME: f64 = 0.4;
 
 /// Mean level of a block, grey levels, above which it is a reflection and not gel. Reflections saturate
 /// at 255; one value was tried.
-const BRIGHTEST_GEL: u16 = 230;
+pub(super) const BRIGHTEST_GEL: u16 = 230;
 
 /// Half of the directions to opposite blocks.
 const DIRECTIONS: [(isize, usize); 4] = [(1, 0), (0, 1), (1, 1), (-1, 1)];
