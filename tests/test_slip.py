@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import gelstereo as gs
 from gelstereo import SlipStatus, Stick
-from gelstereo_bench.reports.slip import follow, runs
+from gelstereo_bench.reports.slip import follow, runs, touched
 
 Array = npt.NDArray[np.float64]
 
@@ -141,6 +141,27 @@ def test_the_stick_ratio_is_the_simulators() -> None:
     assert np.mean([s.between[0] <= s.truth <= s.between[1] for s in known]) > 0.9
     moved = [s.motion_um for s in known if s.motion_um is not None and s.truth > 0.5]
     assert np.median(moved) < 6.0
+
+
+def test_forces_tell_the_border_of_a_ball() -> None:
+    """Of a true contact with simulated balls, patches from heights leave out a fifth or more."""
+    random, found, wider, touching, beside = np.random.default_rng(2), 0, 0, 0, 0
+    for run in (run for run in runs(12, seed=30) if run.kind == "ball"):
+        rest, step = gs.RestSurface(run.steps[0].points_mm), run.steps[8]
+        covariance = np.tile(np.diag(SIGMA_MM**2), (len(step.points_mm), 1, 1))
+        force = {"method": "ridge", "thickness_mm": run.thickness_mm, "young_kpa": 100.0}
+        params = gs.Params().replace(force=force)
+        estimator = gs.ForceEstimator(rest, params, cols=25, covariance_mm2=1e-6 * covariance)
+        points = step.points_mm + SIGMA_MM * random.normal(size=step.points_mm.shape)
+        patch, true = touched(step, rest, points), step.stick != Stick.FREE
+        traction_kpa, _ = estimator.run(points, covariance, patch.tolist())
+        wide = estimator.touching(traction_kpa, patch.tolist())
+        assert not np.any(patch & ~wide)
+        found, wider = found + int(np.sum(patch & true)), wider + int(np.sum(wide & true))
+        touching, beside = touching + int(np.sum(true)), beside + int(np.sum(wide & ~true))
+    assert found < 0.85 * touching and wider > 0.93 * touching and beside < 0.03 * touching
+    with pytest.raises(gs.ContactError, match="a list has 3 entries, but there are 625 markers"):
+        estimator.touching(traction_kpa[:3], patch.tolist())
 
 
 def test_gel_that_strains_as_it_is_pressed_does_not_slip() -> None:

@@ -415,6 +415,7 @@ class ForceEstimator:
     def run(
         self, points_mm: npt.ArrayLike, covariance_mm2: npt.ArrayLike, patch: Sequence[bool]
     ) -> tuple[_Floats, Wrench | None]: ...
+    def touching(self, traction_kpa: npt.ArrayLike, patch: Sequence[bool]) -> npt.NDArray[np.bool_]: ...
 
 @final
 class Slip:

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gelstereo import (
+    ForceEstimator,
     Params,
     RestSurface,
     Scene,
@@ -29,6 +30,7 @@ from gelstereo_bench.reports.markdown import replace_between, table
 __all__ = [
     "KINDS",
     "MOTIONS",
+    "PATCHES",
     "SIDE",
     "SIGMA_MM",
     "Run",
@@ -43,6 +45,8 @@ __all__ = [
 Array = npt.NDArray[np.float64]
 
 KINDS = ("ball", "peg", "plate")
+#: From where the markers in contact are known.
+PATCHES = ("known patch", "patch from heights", "patch from heights and forces")
 MOTIONS = ("drag", "twist", "roll", "press")
 #: Noise of a marker, mm.
 SIGMA_MM = np.array([0.0015, 0.0015, 0.005])
@@ -181,20 +185,31 @@ def touched(step: Step, rest: RestSurface, points_mm: Array | None) -> npt.NDArr
 
 
 def follow(
-    run: Run, random: np.random.Generator, *, patch_is_known: bool, strain: tuple[float, float] = (0.0, 0.0)
+    run: Run,
+    random: np.random.Generator,
+    *,
+    patch_is_known: bool,
+    with_forces: bool = False,
+    strain: tuple[float, float] = (0.0, 0.0),
 ) -> list[Seen]:
     """Find the slip of every frame with contact, from markers with noise. `strain` is one of `STRAINS`."""
     rest_mm = run.steps[0].points_mm
     rest, count = RestSurface(rest_mm), len(rest_mm)
     params = Params().replace(
-        slip={"method": "rigid", "strain_sigma_mm": strain[0], "strain_share": strain[1]}
+        slip={"method": "rigid", "strain_sigma_mm": strain[0], "strain_share": strain[1]},
+        force={"method": "ridge", "thickness_mm": run.thickness_mm, "young_kpa": 100.0},
     )
     tracker = SlipTracker(rest, params, cols=SIDE)
     covariance = np.tile(np.diag(SIGMA_MM**2), (count, 1, 1))
+    # The rest positions are the mean of many frames.
+    force = ForceEstimator(rest, params, cols=SIDE, covariance_mm2=1e-6 * covariance)
     seen, first = [], None
     for step in run.steps:
         points = step.points_mm + SIGMA_MM * random.normal(size=rest_mm.shape)
         patch = touched(step, rest, None if patch_is_known else points)
+        if with_forces:
+            traction_kpa, _ = force.run(points, covariance, patch.tolist())
+            patch = force.touching(traction_kpa, patch.tolist())
         _, slip = tracker.run(points, covariance, patch.tolist())
         touching = int(np.sum(step.stick != Stick.FREE))
         if slip is None or not touching or step.t_sensor_object is None:
@@ -263,9 +278,10 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     by_kind, by_patch = [], []
     made = list(runs(options.contacts, seed=30))
-    for name, patch_is_known in (("known patch", True), ("patch from heights", False)):
+    for name in PATCHES:
         random = np.random.default_rng(31)
-        seen = [follow(run, random, patch_is_known=patch_is_known) for run in made]
+        known, forces = name == "known patch", name.endswith("forces")
+        seen = [follow(run, random, patch_is_known=known, with_forces=forces) for run in made]
         for kind in KINDS:
             of_kind = [s for s, run in zip(seen, made, strict=True) if run.kind == kind]
             by_kind.append(_ratios(f"{kind}, {name}", of_kind))

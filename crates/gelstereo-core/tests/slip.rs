@@ -61,11 +61,20 @@ impl Contact {
         }
     }
 
-    /// The gel follows the part's motion since touch, except that these markers stay behind by `lag`.
+    /// The gel follows the part's motion since touch, except that these markers stay behind by `lag`. Free
+    /// gel follows half of it.
     fn moves(&mut self, pose: &Pose, lag: impl Fn(usize) -> DVec3) {
+        let patch = self.patch.clone();
+        self.moves_where(&patch, pose, lag);
+    }
+
+    /// As [`Self::moves`], where the part touches more than the patch.
+    fn moves_where(&mut self, touches: &[bool], pose: &Pose, lag: impl Fn(usize) -> DVec3) {
         for i in 0..self.points_mm.len() {
             let noise = DVec3::from_array(SIGMA_MM.map(|sigma| sigma * self.random.normal()));
-            self.points_mm[i] = pose.transform_point(self.stuck_mm[i]) - lag(i) + noise;
+            let full_mm = pose.transform_point(self.stuck_mm[i]) - self.stuck_mm[i];
+            let share = if touches[i] { 1.0 } else { 0.5 };
+            self.points_mm[i] = self.stuck_mm[i] + full_mm * share - lag(i) + noise;
         }
     }
 
@@ -176,6 +185,82 @@ proptest! {
             prop_assert!(slip.stick_range[0] < truth && truth <= slip.stick_range[1]);
             prop_assert!(squared_error(&slip, &pose) < 55.0, "{}", squared_error(&slip, &pose));
         }
+    }
+}
+
+/// Patches leave out the border of a contact. Markers beside the patch that move with the part touch it, and
+/// their slip is found although all of the patch sticks. Free gel beside them never counts.
+#[test]
+fn gel_beside_the_patch_that_moves_with_the_part_touches() {
+    for seed in 0..20 {
+        let (mut tracker, mut contact) = (tracker(1.0), Contact::new(2.6, seed));
+        let touches = Contact::new(3.3, seed).patch;
+        let is_left_out = |i: usize| touches[i] && !contact.patch[i];
+        let left_out: Vec<usize> = (0..touches.len()).filter(|&i| is_left_out(i)).collect();
+        assert!(left_out.len() > 5);
+        contact.moves_where(&touches, &Pose::IDENTITY, nothing);
+        contact.run(&mut tracker);
+        let pose = |x_mm: f64| about_contact([0.0; 3], [x_mm, 0.0, 0.0]);
+        for step in 1..9 {
+            contact.moves_where(&touches, &pose(0.02 * f64::from(step)), nothing);
+            let (stick, slip) = contact.run(&mut tracker);
+            assert_eq!(slip.unwrap().status, SlipStatus::Stuck);
+            // Free gel lags by a fifth of the motion or more: 4 um are not known from none, 32 um are.
+            let expected = if step < 3 { Stick::Free } else { Stick::Stuck };
+            let is_known = step < 3 || step == 8;
+            assert!(!is_known || left_out.iter().all(|&i| stick[i] == expected), "{step} {stick:?}");
+        }
+        contact.moves_where(&touches, &pose(0.18), |i| {
+            if left_out.contains(&i) { DVec3::X * 0.03 } else { DVec3::ZERO }
+        });
+        let (stick, slip) = contact.run(&mut tracker);
+        let slip = slip.unwrap();
+        assert_eq!(slip.status, SlipStatus::Incipient);
+        for i in 0..stick.len() {
+            let expected = match (contact.patch[i], touches[i]) {
+                (true, _) => Stick::Stuck,
+                (_, true) => Stick::Slips,
+                _ => Stick::Free,
+            };
+            assert_eq!(stick[i], expected);
+        }
+        // They may be free gel, so that the whole contact may stick.
+        assert!(slip.stick_range[0] < slip.stick_ratio.unwrap() && slip.stick_range[1] == 1.0);
+    }
+}
+
+/// A marker that was free beside the patch, lagged, and then touches, is anchored where it touches.
+#[test]
+fn a_marker_that_touches_later_is_anchored_there() {
+    let (mut tracker, mut contact) = (tracker(1.0), Contact::new(2.6, 6));
+    let wide = Contact::new(3.3, 6).patch;
+    let pose = |x_mm: f64| about_contact([0.0; 3], [x_mm, 0.0, 0.0]);
+    for step in 0..5 {
+        contact.moves(&pose(0.05 * f64::from(step)), nothing);
+        contact.run(&mut tracker);
+    }
+    let gap: Vec<DVec3> = (0..wide.len())
+        .map(|i| if wide[i] && !contact.patch[i] { DVec3::X * 0.1 } else { DVec3::ZERO })
+        .collect();
+    contact.patch = wide;
+    for step in 4..8 {
+        contact.moves(&pose(0.05 * f64::from(step)), |i| gap[i]);
+        assert_eq!(contact.run(&mut tracker).1.unwrap().status, SlipStatus::Stuck);
+    }
+}
+
+/// One of many markers that slips is no slip of the contact: it may be free gel beside an edge.
+#[test]
+fn one_marker_of_many_is_no_slip_of_the_contact() {
+    for (radius_mm, expected) in [(3.5, SlipStatus::Stuck), (2.6, SlipStatus::Incipient)] {
+        let (mut tracker, mut contact) = (tracker(1.0), Contact::new(radius_mm, 7));
+        let last = contact.patch.iter().rposition(|&touches| touches).unwrap();
+        contact.moves(&Pose::IDENTITY, nothing);
+        contact.run(&mut tracker);
+        let lag = |i: usize| if i == last { DVec3::X * 0.04 } else { DVec3::ZERO };
+        contact.moves(&about_contact([0.0; 3], [0.05, 0.0, 0.0]), lag);
+        let (stick, slip) = contact.run(&mut tracker);
+        assert_eq!((stick[last], slip.unwrap().status), (Stick::Slips, expected), "{radius_mm} mm");
     }
 }
 

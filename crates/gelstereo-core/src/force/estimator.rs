@@ -57,6 +57,11 @@ const START: Variances = Variances { pressure: 0.01, shear: 0.001, noise: 1.0 };
 /// wrong by 0.29 rms; it is by 0.013 with 1e-5, 1e-3 and 0.1.
 const MIN_SHEAR: f64 = 1e-3;
 
+/// Pressure from which a neighbour of the patch touches the part, over the largest one. With 0.08, 0.12 and
+/// 0.2, these and the patch are 99.4, 97.3 and 91.8 % of the markers in contact with 60 simulated balls, and
+/// 3.8, 0.6 and 0 % more; the patch alone is 76.5 % (seed 31 of the report on slip).
+const PRESSED: f64 = 0.12;
+
 /// Estimates the tractions on a gel and their wrench. It allocates nothing after it was made.
 #[derive(Clone, Debug)]
 pub struct ForceEstimator {
@@ -219,6 +224,34 @@ impl ForceEstimator {
             traction_kpa[cell.row * self.cols + cell.col] = self.traction(cell.block) * self.young_kpa;
         }
         Ok(Some(wrench))
+    }
+
+    /// The patch of the last frame with its neighbours that the part presses, from these tractions of the
+    /// same frame; the patch itself where cells are merged or there are no tractions. `out` is cleared first.
+    ///
+    /// Patches from heights leave out a fifth of a round contact, which is hardly pressed.
+    ///
+    /// # Errors
+    /// [`ForceError::Lengths`].
+    pub fn touching(
+        &self,
+        traction_kpa: &[DVec3],
+        patch: &[bool],
+        out: &mut Vec<bool>,
+    ) -> Result<(), ForceError> {
+        check_length(self.markers(), traction_kpa.len())?;
+        check_length(self.markers(), patch.len())?;
+        out.clear();
+        out.extend_from_slice(patch);
+        if self.stiffness.is_some() || self.cells.blocks != self.cells.cells.len() {
+            return Ok(());
+        }
+        let pressure_kpa = |cell: &Cell| traction_kpa[cell.row * self.cols + cell.col].dot(self.axes[0]);
+        let largest_kpa = self.cells.cells.iter().map(pressure_kpa).fold(0.0, f64::max);
+        for cell in self.cells.cells.iter().filter(|cell| pressure_kpa(cell) > PRESSED * largest_kpa) {
+            out[cell.row * self.cols + cell.col] = true;
+        }
+        Ok(())
     }
 
     fn surround(&mut self) {

@@ -63,6 +63,8 @@ pub struct Pipeline {
     force: Option<ForceEstimator>,
     /// With `slip.method`, since the rest frame.
     slip: Option<SlipTracker>,
+    /// With `slip.method` and `force.method`: the patch, and its neighbours that the part presses.
+    touching: Vec<bool>,
     rest_variance_mm2: Vec<f64>,
     epipolar: Epipolar,
     reference_px: Vec<DVec2>,
@@ -105,6 +107,7 @@ impl Pipeline {
             contact: ContactDetector::new(&params.contact),
             force: None,
             slip: None,
+            touching: Vec::new(),
             rest_variance_mm2: Vec::new(),
             epipolar: Epipolar::default(),
             reference_px: Vec::new(),
@@ -352,6 +355,7 @@ impl Pipeline {
         let asked = &self.params.slip;
         let slip = (asked.method != SlipMethod::None).then(|| SlipTracker::new(asked, surface, cols));
         let slip = slip.transpose().map_err(PipelineError::Slip)?;
+        self.touching.reserve(rest.points_mm().len());
         (self.skin, self.force, self.slip, self.rest) = (skin, force, slip, Some(rest));
         Ok(())
     }
@@ -435,7 +439,12 @@ impl Pipeline {
         out.slip = None;
         out.stick.clear();
         if let Some(slip) = &mut self.slip {
-            let Frame { points_mm, covariance_mm2, state, patch, stick, .. } = out;
+            let Frame { points_mm, covariance_mm2, state, patch, stick, traction_kpa, .. } = out;
+            let mut patch = &*patch;
+            if let Some(force) = &self.force {
+                force.touching(traction_kpa, patch, &mut self.touching).map_err(PipelineError::Force)?;
+                patch = &self.touching;
+            }
             let moved = MovedMarkers { points_mm, covariance_mm2, state, patch };
             out.slip = slip.run(&moved, stick).map_err(PipelineError::Slip)?;
         }

@@ -8,7 +8,7 @@ use super::margin::Margin;
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "snake_case"))]
 #[repr(u8)]
 pub enum Stick {
-    /// The part does not press here.
+    /// The part does not press here, or is not known to.
     #[default]
     Free = 0,
     /// It moves with the part.
@@ -34,9 +34,9 @@ pub enum SlipStatus {
     /// Fewer than three markers have been in contact for two frames.
     #[default]
     Unknown = 0,
-    /// No marker slips.
+    /// No more markers slip than free ones beside an edge may explain: a fortieth.
     Stuck = 1,
-    /// Some markers slip; the part is still held.
+    /// More markers slip; the part is still held. Those beside the patch count as half of one.
     Incipient = 2,
     /// Too few markers stick to hold the part. It lasts until the part leaves the gel: whether a sliding part
     /// comes to rest is not seen by markers that slip.
@@ -61,8 +61,8 @@ pub struct Slip {
     pub status: SlipStatus,
     /// Markers that stick over those known to stick or slip; `None` while none is known.
     pub stick_ratio: Option<f64>,
-    /// Range of the ratio of areas: unknown markers stick or slip, and up to one pitch around the patch may
-    /// slip unseen.
+    /// Range of the ratio of areas: unknown markers stick or slip, up to one pitch around the contact may
+    /// slip unseen, and markers beside the patch that slip may be free gel.
     pub stick_range: [f64; 2],
     /// Motion of the part since it touched the gel, or since three markers stick again; `None` if fewer do.
     pub motion: Option<RigidMotion>,

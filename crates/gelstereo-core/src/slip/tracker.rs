@@ -7,7 +7,7 @@ use super::stick::{Slip, SlipStatus, Stick};
 use crate::contact::RestSurface;
 use crate::force::MovedMarkers;
 use crate::math::linalg::Symmetric;
-use crate::math::{DMat3, DVec3, Factor, Pose};
+use crate::math::{DMat3, DVec3, Factor, Pose, hypot, sqrt};
 use crate::params::SlipParams;
 use crate::track::MarkerState;
 use alloc::vec::Vec;
@@ -26,14 +26,43 @@ const RIM: f64 = 1.0;
 /// distance that can hide a slip. With 4, 25 and 100, the stick ratio of 144 simulated contacts, whose patch
 /// is known, has an rms error of 0.067, 0.055 and 0.053.
 const AGAIN: f64 = 100.0;
-/// Thousands of instructions of a baseline x86-64 processor for one marker in contact and frame: 5.6 counted
-/// by callgrind, for contacts of 37 markers.
-const PER_MARKER: u64 = 6;
+// The four constants below were chosen on 183 simulated drags and twists and 85 contacts that stick, whose
+// patch is from heights (seeds 31 and 33 of the report); docs/slip.md judges by another seed.
 
-/// A marker since it touched the part, or since it slipped last.
+/// Least share of the part's motion by which free gel beside the patch lags behind, within a pitch of it:
+/// 99 % of such markers lag by 0.21 or more at first. With 0.15 and 0.2, 136 and 142 slips are found in time.
+const FREE_LAG: f64 = 0.2;
+/// How far a marker beside the patch must be from [`FREE_LAG`] to count as touching, in standard deviations.
+/// With 2, 3 and 4, 145, 142 and 137 slips are found in time, with 7, 7 and 6 false alarms; with 3 and 4, two
+/// and one of them if the patch is known.
+const SURE: f64 = 4.0;
+/// Largest squared distance from the part's motion, in gates, of a marker beside the patch that counts as
+/// touching. With 1 and 0.25, 148 and 142 slips are found in time, with 11 and 7 false alarms.
+const NEAR: f64 = 0.25;
+/// Largest share of the markers that may slip while the contact as a whole sticks: patches hold free markers
+/// beside an edge. With 0, 0.025 and 0.04, 150, 148 and 145 slips are found in time, with 19, 11 and 10 false
+/// alarms.
+const FEW: f64 = 0.025;
+/// Thousands of instructions of a baseline x86-64 processor for one marker in contact and frame, with those
+/// beside the patch: touch and the next frame take 8.3 together, by callgrind, for contacts of 37 markers.
+const PER_MARKER: u64 = 8;
+
+/// Why a marker counts as touching.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+enum Touch {
+    #[default]
+    No,
+    /// Beside the patch, and it moved with the part.
+    Motion,
+    /// In the patch.
+    Patch,
+}
+
+/// A marker since it touched the part, or since it slipped last. Markers beside the patch have one, too.
 #[derive(Clone, Copy, Debug, Default)]
 struct Anchor {
     is_set: bool,
+    touch: Touch,
     slips: bool,
     /// Part frame, which is the sensor frame at touch.
     part_mm: DVec3,
@@ -56,7 +85,9 @@ pub struct SlipTracker {
     pose: Pose,
     is_gross: bool,
     pairs: Vec<Pair>,
-    /// Markers in contact in the last frame.
+    /// Whether each marker touches the part, in the last frame.
+    touches: Vec<bool>,
+    /// Their number.
     touched: usize,
 }
 
@@ -74,10 +105,18 @@ impl SlipTracker {
         let (x, y) = rest.normal().any_orthonormal_pair();
         let mut anchors = Vec::new();
         anchors.resize(markers, Anchor::default());
-        let (params, pairs) = (params.clone(), Vec::with_capacity(markers));
-        let pose = Pose::IDENTITY;
-        let up = rest.normal();
-        Ok(Self { params, cols, along: [x, y], up, anchors, pose, is_gross: false, pairs, touched: 0 })
+        Ok(Self {
+            params: params.clone(),
+            cols,
+            along: [x, y],
+            up: rest.normal(),
+            anchors,
+            pose: Pose::IDENTITY,
+            is_gross: false,
+            pairs: Vec::with_capacity(markers),
+            touches: Vec::with_capacity(markers),
+            touched: 0,
+        })
     }
 
     /// Number of markers.
@@ -112,24 +151,50 @@ impl SlipTracker {
             return Err(SlipError::Lengths { rest, found });
         }
         out.clear();
-        self.touched = moved.patch.iter().filter(|&&touches| touches).count();
+        self.touch(moved.patch);
         if self.touched == 0 {
             self.restart();
             out.resize(rest, Stick::Free);
             return Ok(None);
         }
-        for (anchor, _) in self.anchors.iter_mut().zip(moved.patch).filter(|(_, touches)| !**touches) {
-            *anchor = Anchor::default();
-        }
         let motion = if self.is_gross { None } else { self.follow(moved) };
         if motion.is_none() {
             // Without a motion of the part, all markers begin anew together.
-            self.anchors.fill(Anchor::default());
-            self.pose = Pose::IDENTITY;
+            self.forget(moved.patch);
         }
         let gate = self.params.gate(self.touched);
         out.extend((0..rest).map(|i| self.judge(moved, i, motion.as_ref(), gate)));
-        Ok(Some(self.summary(moved, out, motion)))
+        Ok(Some(self.summary(out, motion)))
+    }
+
+    /// Selects the markers that touch the part: those of the patch, and those beside it that moved with it.
+    fn touch(&mut self, patch: &[bool]) {
+        self.touches.clear();
+        for (i, &is_in) in patch.iter().enumerate() {
+            let anchor = self.anchors[i];
+            let touch = match anchor.touch {
+                _ if is_in => Touch::Patch,
+                Touch::Motion if self.is_beside(patch, i) => Touch::Motion,
+                _ => Touch::No,
+            };
+            // Until now it may have been free gel, which moves on its own.
+            let enters = touch == Touch::Patch && anchor.touch != Touch::Patch;
+            if enters || touch == Touch::No && !self.is_beside(patch, i) {
+                self.anchors[i] = Anchor::default();
+            }
+            self.anchors[i].touch = touch;
+            self.touches.push(touch != Touch::No);
+        }
+        self.touched = self.touches.iter().filter(|&&touches| touches).count();
+    }
+
+    /// Forgets all anchors, and which markers beside the patch moved with the part.
+    fn forget(&mut self, patch: &[bool]) {
+        self.pose = Pose::IDENTITY;
+        for ((anchor, touches), &is_in) in self.anchors.iter_mut().zip(&mut self.touches).zip(patch) {
+            *anchor = Anchor { touch: if is_in { Touch::Patch } else { Touch::No }, ..Anchor::default() };
+            *touches = is_in;
+        }
     }
 
     /// The part's motion, from the markers that stick.
@@ -137,7 +202,7 @@ impl SlipTracker {
         self.pairs.clear();
         let turn = self.pose.matrix();
         for (i, anchor) in self.anchors.iter().enumerate() {
-            if !anchor.is_set || anchor.slips || !is_usable(moved, i) {
+            if !anchor.is_set || anchor.slips || !self.touches[i] || !is_usable(moved, i) {
                 continue;
             }
             let lifted_mm = self.lifted_mm(anchor, moved.points_mm[i]);
@@ -164,7 +229,8 @@ impl SlipTracker {
         motion: Option<&RigidMotion>,
         gate: f64,
     ) -> Stick {
-        if !moved.patch[i] {
+        if !self.touches[i] {
+            self.judge_beside(moved, i, motion, gate);
             return Stick::Free;
         }
         if !is_usable(moved, i) {
@@ -173,7 +239,7 @@ impl SlipTracker {
         let (point_mm, covariance) = (moved.points_mm[i], &moved.covariance_mm2[i]);
         let mut anchor = self.anchors[i];
         if !anchor.is_set {
-            self.anchors[i] = self.anchored(point_mm, covariance, false);
+            self.anchor(i, moved, false);
             return Stick::Unknown;
         }
         let Some(motion) = motion else { return Stick::Unknown };
@@ -187,7 +253,7 @@ impl SlipTracker {
         }
         let Some(squared) = self.squared(point_mm - at_mm, &noise) else { return Stick::Unknown };
         if squared > gate {
-            self.anchors[i] = self.anchored(point_mm, covariance, true);
+            self.anchor(i, moved, true);
             return Stick::Slips;
         }
         let moved_squared = self.squared(point_mm - anchor.sensor_mm, &noise);
@@ -196,6 +262,35 @@ impl SlipTracker {
             self.anchors[i] = anchor;
         }
         if anchor.slips { Stick::Slips } else { Stick::Stuck }
+    }
+
+    /// Whether a marker beside the patch touches the part from the next frame on. Free gel lags behind the
+    /// part from the first motion on; gel that sticks does not.
+    fn judge_beside(&mut self, moved: &MovedMarkers<'_>, i: usize, motion: Option<&RigidMotion>, gate: f64) {
+        if !is_usable(moved, i) || !self.is_beside(moved.patch, i) {
+            return;
+        }
+        let anchor = self.anchors[i];
+        let (true, Some(motion)) = (anchor.is_set, motion) else { return self.anchor(i, moved, false) };
+        let (point_mm, at_mm) = (moved.points_mm[i], self.pose.transform_point(anchor.part_mm));
+        let anchored = turned(&self.pose.matrix(), &anchor.covariance_mm2);
+        let own = self.noise(&moved.covariance_mm2[i], &anchored, self.lifted_mm(&anchor, point_mm));
+        let [moved_mm, lag_mm] = [at_mm - anchor.sensor_mm, point_mm - at_mm].map(|off_mm| {
+            let [x, y] = self.along.map(|axis| off_mm.dot(axis));
+            hypot(x, y)
+        });
+        let is_far = |noise: &Symmetric<3>| {
+            let [x, y] = self.along.map(|axis| form(noise, axis, axis));
+            FREE_LAG * moved_mm - lag_mm > SURE * sqrt(x.max(y))
+        };
+        if !is_far(&own) {
+            return;
+        }
+        let noise = sum(&own, &of_motion(motion, at_mm));
+        let is_near = self.squared(point_mm - at_mm, &noise).is_some_and(|squared| squared < NEAR * gate);
+        if is_near && is_far(&noise) {
+            self.anchors[i].touch = Touch::Motion;
+        }
     }
 
     /// How much deeper a marker is pressed than where it was anchored.
@@ -212,15 +307,17 @@ impl SlipTracker {
         noise
     }
 
-    fn anchored(&self, point_mm: DVec3, covariance: &Symmetric<3>, slips: bool) -> Anchor {
-        let back = self.pose.inverse();
-        Anchor {
+    /// Anchors a marker where it is.
+    fn anchor(&mut self, i: usize, moved: &MovedMarkers<'_>, slips: bool) {
+        let (back, sensor_mm) = (self.pose.inverse(), moved.points_mm[i]);
+        self.anchors[i] = Anchor {
             is_set: true,
+            touch: self.anchors[i].touch,
             slips,
-            part_mm: back.transform_point(point_mm),
-            covariance_mm2: turned(&back.matrix(), covariance),
-            sensor_mm: point_mm,
-        }
+            part_mm: back.transform_point(sensor_mm),
+            covariance_mm2: turned(&back.matrix(), &moved.covariance_mm2[i]),
+            sensor_mm,
+        };
     }
 
     /// Squared distance along the gel over its variance. The noise of markers that stick exceeds it with the
@@ -233,20 +330,23 @@ impl SlipTracker {
         (xx > 0.0 && determinant > 0.0).then(|| (yy * u * u - 2.0 * xy * u * v + xx * v * v) / determinant)
     }
 
-    fn summary(&mut self, moved: &MovedMarkers<'_>, stick: &[Stick], motion: Option<RigidMotion>) -> Slip {
+    fn summary(&mut self, stick: &[Stick], motion: Option<RigidMotion>) -> Slip {
         let count = |which| stick.iter().filter(|&&s| s == which).count();
         let [stuck, slips, unknown] = [Stick::Stuck, Stick::Slips, Stick::Unknown].map(count);
         let known = stuck + slips;
         let ratio = (known > 0).then(|| stuck as f64 / known as f64);
-        let border = (0..stick.len()).filter(|&i| moved.patch[i] && self.is_border(moved.patch, i)).count();
-        let all = (known + unknown) as f64;
-        let stick_range = [stuck as f64 / (all + RIM * border as f64), (stuck + unknown) as f64 / all];
+        let border = (0..stick.len()).filter(|&i| self.touches[i] && self.is_border(i)).count();
+        // A marker beside the patch that slips may be free gel, and counts as half of one.
+        let beside = |i: &usize| self.anchors[*i].touch == Touch::Motion && stick[*i] == Stick::Slips;
+        let (all, unsure) = (known + unknown, (0..stick.len()).filter(beside).count());
+        let low = stuck as f64 / (all as f64 + RIM * border as f64);
+        let stick_range = [low, (stuck + unknown) as f64 / (all - unsure).max(1) as f64];
         let is_lost = slips > 0 && (stuck < MIN_MARKERS || stick_range[0] < HELD);
         self.is_gross |= is_lost;
         let status = match ratio {
             _ if self.is_gross => SlipStatus::Gross,
             None => SlipStatus::Unknown,
-            Some(_) if slips > 0 => SlipStatus::Incipient,
+            Some(_) if (slips as f64 - 0.5 * unsure as f64) > FEW * known as f64 => SlipStatus::Incipient,
             Some(_) => SlipStatus::Stuck,
         };
         let is_held = matches!(status, SlipStatus::Stuck | SlipStatus::Incipient);
@@ -254,19 +354,27 @@ impl SlipTracker {
         Slip { status, stick_ratio: ratio, stick_range, motion, margin }
     }
 
-    /// Whether a neighbour in the row or column is outside the patch.
-    fn is_border(&self, patch: &[bool], i: usize) -> bool {
-        let (cols, column) = (self.cols, i % self.cols);
-        let out = |inside: bool, j: usize| !(inside && patch[j]);
+    /// Whether a neighbour in the row or column does not touch the part.
+    fn is_border(&self, i: usize) -> bool {
+        let (cols, column, touches) = (self.cols, i % self.cols, &self.touches);
+        let out = |inside: bool, j: usize| !(inside && touches[j]);
         out(column > 0, i.wrapping_sub(1))
             || out(column + 1 < cols, i + 1)
             || out(i >= cols, i.wrapping_sub(cols))
-            || out(i + cols < patch.len(), i + cols)
+            || out(i + cols < touches.len(), i + cols)
+    }
+
+    /// Whether a marker outside the patch has one of its eight neighbours in it.
+    fn is_beside(&self, patch: &[bool], i: usize) -> bool {
+        let (row, column, rows) = (i / self.cols, i % self.cols, patch.len() / self.cols);
+        let columns = column.saturating_sub(1)..(column + 2).min(self.cols);
+        let mut near = row.saturating_sub(1)..(row + 2).min(rows);
+        !patch[i] && near.any(|row| columns.clone().any(|column| patch[row * self.cols + column]))
     }
 }
 
 fn is_usable(moved: &MovedMarkers<'_>, i: usize) -> bool {
-    moved.patch[i] && moved.state[i] == MarkerState::Seen && moved.points_mm[i].is_finite()
+    moved.state[i] == MarkerState::Seen && moved.points_mm[i].is_finite()
 }
 
 /// R C Rᵀ.
