@@ -190,6 +190,15 @@ def test_a_large_image_takes_less_than_a_second() -> None:
     assert min(times) < 1.0
 
 
+def test_dots_wider_than_the_presets_background_are_seen() -> None:
+    points = seen(lattice("square", 6, 10), 100.0, 0.0, 0.0, 0.0, 0.2, 0) + [320.0, 40.0]
+    found = gs.inspect(drawn(points, (1280, 720), 27.0, 160, 60))
+    assert len(found.dots_px) == 60 and found.dot_px == pytest.approx(54.0, abs=1.5)
+    least, most = found.settings["detect.dot_px"]
+    assert 1.3 * least < found.dot_px < most / 1.3
+    assert found.settings_result == "labels 6 rows x 10 columns"
+
+
 @pytest.mark.parametrize("level", [0, 128, 255])
 @pytest.mark.parametrize("shape", [(48, 64), (48, 64, 3), (3, 3)])
 def test_plain_images_show_nothing(level: int, shape: tuple[int, ...]) -> None:
@@ -230,6 +239,18 @@ def test_a_real_gel_that_is_wider_than_the_view() -> None:
     assert found.channel == "blue" and found.polarity == "dark" and found.layout.kind == "square"
     # Counted in the image: seven rows have all of their dots between the blurred borders.
     assert found.layout.rows == 7 and not found.layout.is_whole and "lattice.rows" not in found.settings
+    # No setting may lose what the preset labels by itself.
+    assert "labels 7 rows x 11 columns" in found.preset_result
+    assert "labels 7 rows x 11 columns" in found.settings_result
+
+
+@needs("khsu_markers")
+@pytest.mark.parametrize("scale", [1.5, 2.0])
+def test_a_real_gel_in_a_larger_image(scale: float) -> None:
+    image = cv2.imread(str(DATA / "khsu_markers" / "pic00.jpg"))
+    found = gs.inspect(cv2.resize(image, None, fx=scale, fy=scale))
+    assert (found.layout.kind, found.layout.rows, found.layout.cols) == ("square", 7, 11)
+    assert 75 <= len(found.dots_px) <= 80 and "labels" in found.settings_result
 
 
 def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -300,6 +300,27 @@ proptest! {
     }
 }
 
+/// Diameters are another form of the bounds of the area, in every search.
+#[test]
+fn a_diameter_bounds_the_area() {
+    let mut dots = Dots::new(400, 400, lattice(9, 9, 30.0, DVec2::new(200.0, 200.0), 0.0, 0.0));
+    dots.radius_px = 5.0;
+    let image = dots.render();
+    for preset in ["paper", "fast", "balanced", "exact"] {
+        let preset = Params::preset(preset).unwrap().detect;
+        let with = |dot_px| detect(&DetectParams { dot_px, ..preset.clone() }, &image, 400);
+        let [given, free] = [Some([8.0, 12.0]), None].map(|dot_px| with(dot_px).unwrap().centres_px);
+        assert_eq!((given.len(), &given), (81, &free));
+        for other in [[1.0, 8.0], [12.0, 30.0]] {
+            assert_eq!(with(Some(other)).unwrap().centres_px.len(), 0, "{other:?}");
+        }
+    }
+    let bad = |dot_px| DetectParams { dot_px: Some(dot_px), ..DetectParams::default() }.validate();
+    for dot_px in [[0.5, 8.0], [9.0, 8.0], [9.0, 1001.0], [f64::NAN, 9.0], [9.0, f64::NAN]] {
+        assert!(bad(dot_px).unwrap_err().to_string().contains("detect.dot_px"), "{dot_px:?}");
+    }
+}
+
 /// Stripes two pixels wide: twice the runs of pixels that an image of markers may have.
 #[test]
 fn row_30_an_image_of_nothing_but_stripes_is_refused_by_name() {

@@ -140,7 +140,7 @@ impl Detector {
     }
 
     fn __repr__(&self) -> String {
-        let (min_px2, max_px2) = (self.params.min_area_px2, self.params.max_area_px2);
+        let [min_px2, max_px2] = self.params.areas_px2();
         let dots = match self.params.polarity {
             Polarity::Dark => "dark",
             Polarity::Bright => "bright",

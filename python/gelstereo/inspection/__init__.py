@@ -24,6 +24,9 @@ Polarity = Literal["dark", "bright"]
 #: Dots of one print differ in area by less than this factor, also in perspective; specks and clutter lie
 #: outside.
 _SAME_AREA = 2.5
+#: Tried where the preset's `detect.background_kernel_px` shows no whole print: dots as wide as the kernel
+#: pass for background.
+_WIDER_KERNELS_PX = (121, 253)
 #: `detect.background_kernel_px` is kept while it is within these distances of neighbours.
 _KERNEL_SPACINGS = (2.0, 4.0)
 
@@ -125,10 +128,9 @@ def inspect(image: Image, *, preset: str = "balanced", outline_px: npt.ArrayLike
         corners_px = np.asarray(outline_px, np.float64).tolist()
         base = base.replace({"detect.roi.left_outline_px": corners_px})
     height, width = np.shape(image)[:2] if np.ndim(image) in (2, 3) else (0, 0)
-    found = [_Print.find(image, base, polarity) for polarity in ("dark", "bright")]
-    best = max(found, key=lambda each: each.score)
-    settings = best.settings(base) if len(best.dots_px) else {}
-    plain = _try(image, base)
+    best = _best_print(image, base)
+    plain = _Trial.of(image, base)
+    settings, tried = _settings(image, base, best, plain)
     return Inspection(
         size_px=(int(width), int(height)),
         channel=best.channel,
@@ -140,10 +142,60 @@ def inspect(image: Image, *, preset: str = "balanced", outline_px: npt.ArrayLike
         noise=best.noise,
         layout=best.layout,
         preset=preset,
-        preset_result=plain,
-        settings_result=_try(image, base.replace(settings)) if settings else plain,
+        preset_result=plain.words,
+        settings_result=tried.words,
         settings=settings,
     )
+
+
+def _best_print(image: Image, base: Params) -> _Print:
+    """The print of either polarity; behind a wider background where the preset's shows no whole print."""
+    kernels_px = [base.to_dict()["detect"]["background_kernel_px"]]
+    sides_px = np.shape(image)[:2] if np.ndim(image) in (2, 3) else (0, 0)
+    kernels_px += [px for px in _WIDER_KERNELS_PX if kernels_px[0] < px < min(sides_px)]
+    best: _Print | None = None
+    for kernel_px in kernels_px:
+        found = [_Print.find(image, base, polarity, kernel_px) for polarity in ("dark", "bright")]
+        if best is not None:
+            found.insert(0, best)
+        best = max(found, key=lambda each: each.score)
+        if best.layout.kind != "irregular" and best.layout.is_whole:
+            break
+    assert best is not None
+    return best
+
+
+def _settings(image: Image, base: Params, best: _Print, plain: _Trial) -> tuple[dict[str, Any], _Trial]:
+    """Settings for a print and what they make of the image, without those that make it worse."""
+    settings = best.settings(base) if len(best.dots_px) else {}
+    tried = _Trial.of(image, base.replace(settings)) if settings else plain
+    for name in ("detect.background_kernel_px", "detect.dot_px"):
+        fewer = {other: value for other, value in settings.items() if other != name}
+        without = _Trial.of(image, base.replace(fewer)) if name in settings else tried
+        if without.labelled > tried.labelled:
+            settings, tried = fewer, without
+    return ({}, plain) if tried.labelled < plain.labelled else (settings, tried)
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """What detection and lattice make of an image."""
+
+    #: Markers with row and column that were seen; 0 if the image is refused.
+    labelled: int
+    words: str
+
+    @classmethod
+    def of(cls, image: Image, params: Params) -> _Trial:
+        try:
+            lattice = rest_lattice(Detector(params, view="left").detect(image).centres_px, params)
+        except Error as error:
+            return cls(0, f"refuses it: {error}")
+        missing = int(np.count_nonzero(lattice.filled))
+        words = f"labels {lattice.rows} rows x {lattice.cols} columns"
+        return cls(
+            lattice.rows * lattice.cols - missing, words + (f", {missing} missing" if missing else "")
+        )
 
 
 @dataclass(frozen=True)
@@ -160,8 +212,14 @@ class _Print:
     layout: Layout
 
     @classmethod
-    def find(cls, image: Image, base: Params, polarity: Polarity) -> _Print:
-        params = base.replace({"detect.polarity": polarity})
+    def find(cls, image: Image, base: Params, polarity: Polarity, kernel_px: int) -> _Print:
+        params = base.replace(
+            {
+                "detect.polarity": polarity,
+                "detect.background_kernel_px": kernel_px,
+                "detect.dot_px": [2.0, float(kernel_px)],
+            }
+        )
         markers: Markers | None = None
         try:
             markers = Detector(params, view="left").detect(image)
@@ -208,8 +266,8 @@ class _Print:
             self.others > 0.05 * len(self.dots_px)
             or not 2 * preset["min_area_px2"] < area < 0.5 * preset["max_area_px2"]
         ):
-            settings["detect.min_area_px2"] = max(int(area / _SAME_AREA), 1)
-            settings["detect.max_area_px2"] = int(area * _SAME_AREA) + 1
+            least, most = self.dot_px * _SAME_AREA**-0.5, self.dot_px * _SAME_AREA**0.5
+            settings["detect.dot_px"] = [max(float(np.floor(least)), 1.0), float(np.ceil(most))]
         if self.layout.kind == "hexagonal":
             settings["lattice.layout"] = "hexagonal"
         if self.layout.kind != "irregular" and self.layout.is_whole:
@@ -267,18 +325,6 @@ def _contrast(levels: Image, dots: Array, radius_px: float, spacing_px: tuple[fl
     inside = np.mean([at(dots + [x, y]) for x in (-0.5, 0.5) for y in (-0.5, 0.5)], axis=0)
     outside = np.median([at(dots + step) for step in around], axis=0)
     return float(np.median(np.abs(outside - inside)))
-
-
-def _try(image: Image, params: Params) -> str:
-    """What detection and lattice make of an image."""
-    try:
-        lattice = rest_lattice(Detector(params, view="left").detect(image).centres_px, params)
-    except Error as error:
-        return f"refuses it: {error}"
-    missing = int(np.count_nonzero(lattice.filled))
-    return f"labels {lattice.rows} rows x {lattice.cols} columns" + (
-        f", {missing} missing" if missing else ""
-    )
 
 
 def _layout_in_words(layout: Layout) -> str:

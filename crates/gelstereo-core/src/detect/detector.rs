@@ -194,7 +194,7 @@ impl Detector {
 
     fn check(&self, image: GrayView<'_>) -> Result<(), DetectError> {
         let (width, height) = (image.width(), image.height());
-        let min_side_px = ceil(sqrt(f64::from(self.params.min_area_px2))) as usize + 2;
+        let min_side_px = ceil(sqrt(f64::from(self.params.areas_px2()[0]))) as usize + 2;
         if width.min(height) < min_side_px {
             return Err(DetectError::TooSmall { width, height, min_side_px });
         }

@@ -106,7 +106,7 @@ impl Markers {
 #[must_use]
 pub fn max_markers(params: &DetectParams, size_px: (usize, usize)) -> usize {
     let pixels = size_px.0 * size_px.1;
-    (pixels / params.min_area_px2.max(4) as usize)
+    (pixels / params.areas_px2()[0].max(4) as usize)
         .min((pixels / PIXELS_PER_MARKER).max(1024))
         .min(MAX_MARKERS)
 }

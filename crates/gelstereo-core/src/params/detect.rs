@@ -1,6 +1,8 @@
 //! Finding markers in one image.
 
 use super::{ParamsError, RoiParams, check};
+use crate::math::ceil;
+use core::f64::consts::PI;
 
 /// Whether markers are darker or brighter than the gel around them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -180,6 +182,11 @@ pub struct DetectParams {
     /// Largest marker. Valid: 1 to 100000000 px². Default: `2000` px². Raise it for large dots close to the
     /// camera.
     pub max_area_px2: u32,
+    /// Least and largest diameter of a marker; it takes the place of `min_area_px2` and `max_area_px2`. Valid: 1
+    /// to 1000 px, the least first. Default: absent. Set it where objects of another size stand out behind the
+    /// gel; `gelstereo inspect` states the diameter.
+    #[cfg_attr(feature = "serde", serde(skip_serializing_if = "Option::is_none"))]
+    pub dot_px: Option<[f64; 2]>,
     /// Least area over that of the bounding box's inscribed ellipse; scratches and merged pairs have less.
     /// Valid: 0 to 1. Default: `0.5`. Lower it for ragged dots; raise it when scratches pass for markers.
     pub min_fill: f64,
@@ -208,6 +215,7 @@ impl Default for DetectParams {
             morphology_kernel_px: 1,
             min_area_px2: 6,
             max_area_px2: 2000,
+            dot_px: None,
             min_fill: 0.5,
             centre_sigma_px: 0.09,
             roi: RoiParams::default(),
@@ -217,6 +225,15 @@ impl Default for DetectParams {
 }
 
 impl DetectParams {
+    /// Least and largest area of a marker, px²: those of `dot_px`, if it is set.
+    #[must_use]
+    pub fn areas_px2(&self) -> [u32; 2] {
+        let area_px2 = |diameter_px: f64| 0.25 * PI * diameter_px * diameter_px;
+        self.dot_px.map_or([self.min_area_px2, self.max_area_px2], |[least, most]| {
+            [(area_px2(least) as u32).max(1), ceil(area_px2(most)) as u32]
+        })
+    }
+
     /// Checks every setting against its meaning.
     ///
     /// # Errors
@@ -241,6 +258,11 @@ impl DetectParams {
         let valid = "1 to 1000000 px², up to detect.max_area_px2";
         let areas_ok = (1..=max_area.min(1_000_000)).contains(&min_area);
         check(areas_ok, "detect.min_area_px2", f64::from(min_area), valid)?;
+        if let Some([least, most]) = self.dot_px {
+            let valid = "two diameters, 1 to 1000 px, the least first";
+            check((1.0..=1000.0).contains(&least), "detect.dot_px", least, valid)?;
+            check((least..=1000.0).contains(&most), "detect.dot_px", most, valid)?;
+        }
         check((0.0..=1.0).contains(&self.min_fill), "detect.min_fill", self.min_fill, "from 0 to 1")?;
         let sigma = self.centre_sigma_px;
         check((1e-4..=100.0).contains(&sigma), "detect.centre_sigma_px", sigma, "0.0001 to 100 px")?;

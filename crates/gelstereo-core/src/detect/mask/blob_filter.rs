@@ -34,7 +34,7 @@ impl<'a> BlobFilter<'a> {
         outline: &'a Outline,
         areas_px2: &mut Vec<u32>,
     ) -> (Self, usize) {
-        let &DetectParams { min_area_px2, max_area_px2, min_fill, .. } = params;
+        let ([min_area_px2, max_area_px2], min_fill) = (params.areas_px2(), params.min_fill);
         let range_px2 = (0, u32::MAX);
         let mut sieve =
             Self { size_px, outline, min_area_px2, max_area_px2, min_fill, usual_px2: 0.0, range_px2 };

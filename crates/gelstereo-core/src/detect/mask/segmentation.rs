@@ -30,7 +30,7 @@ impl Segmentation {
             difference: Difference::new(params),
             closing: Closing::new(params.morphology_kernel_px),
             closes: params.morphology_kernel_px > 1,
-            components: Components::keeping(params.min_area_px2.min(MIN_NEIGHBOUR_PX2)),
+            components: Components::keeping(params.areas_px2()[0].min(MIN_NEIGHBOUR_PX2)),
             mask: Vec::new(),
         }
     }

@@ -106,13 +106,15 @@ impl HalfSize {
     /// ([`Centre::SoftThreshold`]) is independent of a component's outline.
     pub fn new(params: &DetectParams) -> Option<Self> {
         let wanted = params.find_at == FindAt::HalfSize && params.centre == Centre::SoftThreshold;
+        let [min_area_px2, max_area_px2] = params.areas_px2();
         let half_kernel = |side_px: usize| (side_px / SCALE) | 1;
         let params = DetectParams {
             smooth_kernel_px: half_kernel(params.smooth_kernel_px),
             background_kernel_px: half_kernel(params.background_kernel_px),
             morphology_kernel_px: half_kernel(params.morphology_kernel_px),
-            min_area_px2: params.min_area_px2.div_ceil(PIXELS),
-            max_area_px2: (params.max_area_px2 / PIXELS).max(1),
+            min_area_px2: min_area_px2.div_ceil(PIXELS),
+            max_area_px2: (max_area_px2 / PIXELS).max(1),
+            dot_px: None,
             ..params.clone()
         };
         let [whole, middle] = [Halved::new(&params), Halved::new(&params)];

@@ -171,8 +171,9 @@ impl WindowSearch {
         }
         let (mut sight, mut found) = (WindowObservation::Nothing, None);
         let (min_px2, max_px2) = classifier.size().area_px2;
+        let [least_px2, _] = params.areas_px2();
         while let Some((blob, partial)) = components.next(&window) {
-            if blob.area_px2 < params.min_area_px2 {
+            if blob.area_px2 < least_px2 {
                 continue;
             }
             if partial || blob.area_px2 > max_px2 || !in_shape(&blob, params.min_fill) {

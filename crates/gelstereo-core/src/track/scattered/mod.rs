@@ -48,7 +48,7 @@ impl fmt::Display for TooFewMarkers {
         write!(
             f,
             "the first image shows {} markers, and at least {MIN_MARKERS} are needed to tell them apart; \
-             give an image of the whole print at rest, or check detect.polarity, detect.min_area_px2 and \
+             give an image of the whole print at rest, or check detect.polarity, detect.dot_px and \
              detect.roi",
             self.found
         )

@@ -93,7 +93,7 @@ impl Fitter {
     /// Creates the fitter from the settings.
     pub fn new(params: &DetectParams) -> Self {
         // Twice the reach beyond the longer axis of the largest marker, which is twice the shorter axis.
-        let longest_px = sqrt(8.0 * FRAC_1_PI * f64::from(params.max_area_px2));
+        let longest_px = sqrt(8.0 * FRAC_1_PI * f64::from(params.areas_px2()[1]));
         let max_side_px = (longest_px + 4.0 * REACH_PX) as usize;
         Self {
             given_blur_px: params.fit.blur_px,
