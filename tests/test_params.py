@@ -49,6 +49,7 @@ def test_an_empty_text_is_the_papers_configuration() -> None:
         "pitch_mm": 0.9,
         "max_missing_share": 0.01,
         "depth_mm": 0.0,
+        "depth_sigma_mm": 0.0,
     }
     assert tree["track"]["gate_pitches"] == 0.5
     assert tree["label"]["tolerance_pitches"] == pytest.approx(1 / 3)

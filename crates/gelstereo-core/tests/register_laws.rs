@@ -56,6 +56,7 @@ impl Given {
             unpressed_mm: &self.unpressed_mm,
             press_direction: self.press_direction,
             decay_mm: self.decay_mm,
+            offset_sigma_mm: 0.02,
         };
         Registrar::new(params).register(&contact, template, &self.guess).unwrap()
     }

@@ -4,7 +4,7 @@ use gelstereo_core::contact::RestSurface;
 use gelstereo_core::lattice::Topology;
 use gelstereo_core::math::linalg::Symmetric;
 use gelstereo_core::math::{DMat3, DQuat, DVec3};
-use gelstereo_core::pipeline::Skin;
+use gelstereo_core::pipeline::{Skin, SkinDepth};
 use proptest::prelude::*;
 
 const COLS: usize = 7;
@@ -15,12 +15,13 @@ fn print() -> Vec<DVec3> {
 
 /// The skin of markers without noise.
 fn skin(now_mm: &[DVec3], depth_mm: f64) -> (Vec<DVec3>, Vec<Symmetric<3>>) {
-    let mut skin = Skin::new(
-        &RestSurface::new(&print()).unwrap(),
-        Topology::square(print().len() / COLS, COLS),
-        depth_mm,
-    )
-    .unwrap();
+    with_sigma(now_mm, SkinDepth { mm: depth_mm, sigma_mm: 0.0 })
+}
+
+fn with_sigma(now_mm: &[DVec3], depth: SkinDepth) -> (Vec<DVec3>, Vec<Symmetric<3>>) {
+    let mut skin =
+        Skin::new(&RestSurface::new(&print()).unwrap(), Topology::square(print().len() / COLS, COLS), depth)
+            .unwrap();
     let (mut points_mm, mut covariance_mm2) = (now_mm.to_vec(), vec![[[0.0; 3]; 3]; now_mm.len()]);
     skin.lift(&mut points_mm, &mut covariance_mm2);
     (points_mm, covariance_mm2)
@@ -39,6 +40,27 @@ proptest! {
             // The camera is on the side of small z.
             prop_assert!(found.distance(moved(marker + DVec3::Z * depth_mm)) < 1e-12);
             prop_assert!(covariance.iter().flatten().all(|&entry| entry.abs() < 1e-24));
+        }
+    }
+
+    /// An error of the depth moves every point as the gel at rest, and by what its covariance states.
+    #[test]
+    fn what_an_error_of_the_depth_moves_is_stated(
+        depth_mm in 0.0..1.0_f64, sigma_mm in 0.01..0.3_f64, x in 0.7..1.6_f64, tilt in -0.5..0.5_f64,
+    ) {
+        let change = DMat3::from_cols(DVec3::new(x, 0.0, tilt), DVec3::Y, DVec3::Z);
+        let now: Vec<DVec3> = print().iter().map(|&p| change * p).collect();
+        let (here, _) = skin(&now, 0.0);
+        let (one, _) = skin(&now, 1.0);
+        let (_, exact) = skin(&now, depth_mm);
+        let (_, stated) = with_sigma(&now, SkinDepth { mm: depth_mm, sigma_mm });
+        for i in 0..now.len() {
+            // The skin is linear in the depth. At rest it moves along z.
+            let beyond = (sigma_mm * (one[i] - here[i] - DVec3::Z)).to_array();
+            for (k, l) in (0..9).map(|kl| (kl / 3, kl % 3)) {
+                let added = stated[i][k][l] - exact[i][k][l];
+                prop_assert!((added - beyond[k] * beyond[l]).abs() < 1e-12, "{i} {k} {l} {added}");
+            }
         }
     }
 
@@ -88,7 +110,7 @@ fn noise_of_the_neighbours_is_stated() {
     let mut layer = Skin::new(
         &RestSurface::new(&print()).unwrap(),
         Topology::square(print().len() / COLS, COLS),
-        depth_mm,
+        SkinDepth { mm: depth_mm, sigma_mm: 0.0 },
     )
     .unwrap();
     let diagonal: Symmetric<3> = std::array::from_fn(|i| {

@@ -5,7 +5,7 @@ use crate::errors::raise;
 use gelstereo_core::contact as core;
 use gelstereo_core::lattice::Topology;
 use gelstereo_core::math::DVec3;
-use gelstereo_core::pipeline::Skin;
+use gelstereo_core::pipeline::{Skin, SkinDepth};
 use gelstereo_core::track::MarkerState;
 use numpy::PyArray3;
 use pyo3::exceptions::PyValueError;
@@ -209,19 +209,23 @@ pub fn adaptive_saliency(
 ///     Markers in a row.
 /// depth_mm : float
 ///     Depth of the print below the skin.
+/// depth_sigma_mm : float
+///     Its standard deviation.
 ///
 /// Returns
 /// -------
 /// points_mm : (N, 3) float64
 /// covariance_mm2 : (N, 3, 3) float64
-///     With the markers' noise, and what the law of constant volume leaves open.
+///     With the markers' noise, what the law of constant volume leaves open, and what an error of the depth
+///     moves a point more than the gel at rest. That all points move by the error of the depth along the
+///     normal at rest is left out.
 ///
 /// Raises
 /// ------
 /// ContactError
 ///     If the number of markers differs or a coordinate is not finite.
 #[pyfunction]
-#[pyo3(signature = (rest, points_mm, covariance_mm2, *, cols, depth_mm))]
+#[pyo3(signature = (rest, points_mm, covariance_mm2, *, cols, depth_mm, depth_sigma_mm=0.0))]
 pub fn skin_over(
     py: Python<'_>,
     rest: &RestSurface,
@@ -229,6 +233,7 @@ pub fn skin_over(
     covariance_mm2: &Bound<'_, PyAny>,
     cols: Count,
     depth_mm: f64,
+    depth_sigma_mm: f64,
 ) -> PyResult<(Matrix, Py<PyArray3<f64>>)> {
     let (points, covariances) =
         (Numbers::new(points_mm, "points_mm")?, Numbers::new(covariance_mm2, "covariance_mm2")?);
@@ -242,14 +247,16 @@ pub fn skin_over(
             "covariance_mm2 has {found} matrices for {expected} points; valid is one of each"
         )));
     }
-    if !(0.0..=100.0).contains(&depth_mm) || cols.0 == 0 {
+    let (depth, lengths) = (SkinDepth { mm: depth_mm, sigma_mm: depth_sigma_mm }, 0.0..=100.0);
+    if !lengths.contains(&depth_mm) || !lengths.contains(&depth_sigma_mm) || cols.0 == 0 {
         return Err(PyValueError::new_err(format!(
-            "depth_mm is {depth_mm} and cols {}; valid are 0 to 100 mm, and 1 or more",
+            "depth_mm is {depth_mm}, depth_sigma_mm {depth_sigma_mm} and cols {}; valid are 0 to 100 mm, and \
+             1 or more",
             cols.0
         )));
     }
     let topology = Topology::square(points.len() / cols.0, cols.0);
-    let mut skin = Skin::new(&rest.inner, topology, depth_mm).map_err(raise)?;
+    let mut skin = Skin::new(&rest.inner, topology, depth).map_err(raise)?;
     skin.lift(&mut points, &mut covariances);
     let (count, flat) = (covariances.len(), covariances.into_iter().flatten().flatten().collect());
     Ok((arrays::rows::<_, 3>(py, points)?, arrays::shaped(py, flat, [count, 3, 3])?))

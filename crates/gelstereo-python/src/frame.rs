@@ -143,6 +143,10 @@ pub struct Frame {
     /// Mean motion of the seen markers of the left view since the reference.
     #[pyo3(get)]
     motion_px: f64,
+    /// Standard deviation of an error along the gel's normal that all points share:
+    /// ``lattice.depth_sigma_mm``. `covariance_mm2` leaves it out, and the covariance of a pose includes it.
+    #[pyo3(get)]
+    offset_sigma_mm: f64,
     /// Digest of all results, bit for bit.
     #[pyo3(get)]
     digest: u64,
@@ -196,6 +200,7 @@ impl Frame {
             slip: frame.slip.map(|slip| Py::new(py, Slip::from_core(slip))).transpose()?,
             mismatched: frame.mismatched,
             motion_px: frame.motion_px,
+            offset_sigma_mm: frame.offset_sigma_mm,
             work: frame.work,
             work_limit: frame.work_limit,
             digest,

@@ -92,6 +92,7 @@ impl Given<'_, '_> {
                 covariance_mm2: covariances,
                 unpressed_mm: &unpressed_mm,
                 decay_mm: gel.decay_mm,
+                offset_sigma_mm: gel.offset_sigma_mm,
                 press_direction: gel.press_direction,
                 ..core::Contact::new(points)
             };

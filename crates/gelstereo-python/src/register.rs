@@ -431,6 +431,7 @@ thread_local! {
 #[derive(Clone, Copy)]
 pub struct Gel {
     pub decay_mm: f64,
+    pub offset_sigma_mm: f64,
     /// Unit vector from the part into the gel, sensor frame.
     pub press_direction: DVec3,
 }
@@ -449,6 +450,7 @@ impl Gel {
                 scaled / sqrt(scaled.length_squared())
             }
         };
-        Ok(Self { decay_mm: params.contact.decay_mm, press_direction })
+        let (decay_mm, offset_sigma_mm) = (params.contact.decay_mm, params.lattice.depth_sigma_mm);
+        Ok(Self { decay_mm, offset_sigma_mm, press_direction })
     }
 }

@@ -81,6 +81,8 @@ impl SlipMargin {
 ///     Markers in the sensor frame.
 /// friction : float
 ///     Coulomb's coefficient.
+/// friction_sigma : float
+///     Its standard deviation.
 ///
 /// Returns
 /// -------
@@ -93,12 +95,14 @@ impl SlipMargin {
 /// ContactError
 ///     If a list has another length than the rest markers.
 #[pyfunction]
+#[pyo3(signature = (rest, wrench, traction_kpa, points_mm, friction, friction_sigma=0.0))]
 pub fn friction_margin(
     rest: &RestSurface,
     wrench: &Wrench,
     traction_kpa: &Bound<'_, PyAny>,
     points_mm: &Bound<'_, PyAny>,
     friction: f64,
+    friction_sigma: f64,
 ) -> PyResult<Option<SlipMargin>> {
     let (tractions, points) =
         (Numbers::new(traction_kpa, "traction_kpa")?, Numbers::new(points_mm, "points_mm")?);
@@ -108,7 +112,7 @@ pub fn friction_margin(
         return Err(raise(core::SlipError::Lengths { rest: markers, found }));
     }
     let (wrench, normal) = (wrench.core(), rest.core().normal());
-    let loads = core::LoadedContact { wrench, traction_kpa, points_mm, normal, friction };
+    let loads = core::LoadedContact { wrench, traction_kpa, points_mm, normal, friction, friction_sigma };
     Ok(core::Margin::of_limit(&loads).map(|inner| SlipMargin { inner }))
 }
 

@@ -193,9 +193,7 @@ class _Trial:
             return cls(0, f"refuses it: {error}")
         missing = int(np.count_nonzero(lattice.filled))
         words = f"labels {lattice.rows} rows x {lattice.cols} columns"
-        return cls(
-            lattice.rows * lattice.cols - missing, words + (f", {missing} missing" if missing else "")
-        )
+        return cls(lattice.rows * lattice.cols - missing, words + (f", {missing} missing" if missing else ""))
 
 
 @dataclass(frozen=True)

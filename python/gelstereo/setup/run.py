@@ -9,6 +9,8 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from gelstereo._native import Rig, __version__
 from gelstereo.setup import cameras, gel, layers, prints
 from gelstereo.setup.plan import Plan
@@ -16,7 +18,7 @@ from gelstereo.setup.report import write_report
 from gelstereo.setup.sensor import sensor_text
 from gelstereo.setup.step import Step, digest_of, load_step, save_step
 
-__all__ = ["set_up"]
+__all__ = ["learned_settings", "set_up"]
 
 
 def set_up(plan: Plan, output: str | Path, report: Callable[[str], None] = lambda _: None) -> list[Step]:
@@ -78,18 +80,30 @@ def set_up(plan: Plan, output: str | Path, report: Callable[[str], None] = lambd
             lambda: gel.presses(plan, rig, settings, gap_sigma_mm),
         )
         values |= found.values["gel"]
-        settings = {**settings, **_learned(values), **plan.params} if found.is_good else settings
+        settings = {**settings, **learned_settings(values), **plan.params} if found.is_good else settings
     path = output / "sensor.toml"
     path.write_text(sensor_text(rig, plan.preset, settings, values), encoding="utf-8")
     write_report(output / "report.html", steps)
     return steps
 
 
-def _learned(gel: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings that presses tell. A depth of the print below three standard deviations may be none."""
-    settings = {"contact.decay_mm": gel["decay_mm"]} if "decay_mm" in gel["learned"] else {}
-    if "depth_mm" in gel["learned"] and gel["depth_mm"] > 3.0 * gel["depth_sigma_mm"]:
-        settings["lattice.depth_mm"] = gel["depth_mm"]
+def learned_settings(gel: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings that presses tell, with their standard deviations, by dotted names.
+
+    A depth of the print below three standard deviations may be none. It is then taken for none, with an error
+    that includes it.
+    """
+    learned = gel["learned"]
+    settings: dict[str, Any] = {"contact.decay_mm": gel["decay_mm"]} if "decay_mm" in learned else {}
+    if "depth_mm" in learned:
+        depth_mm, sigma_mm = gel["depth_mm"], gel["depth_sigma_mm"]
+        if depth_mm > 3.0 * sigma_mm:
+            settings |= {"lattice.depth_mm": depth_mm, "lattice.depth_sigma_mm": sigma_mm}
+        else:
+            settings["lattice.depth_sigma_mm"] = round(float(np.hypot(depth_mm, sigma_mm)), 4)
+    for name, unit in (("thickness", "_mm"), ("friction", "")):
+        if name + unit in learned:
+            settings |= {f"force.{key}": gel[key] for key in (name + unit, f"{name}_sigma{unit}")}
     return settings
 
 

@@ -22,13 +22,15 @@ pub(super) struct Equations {
     pub count: usize,
     /// Influence of the unknowns on one marker: into the layer, along rows and along columns.
     rows: [Vec<f64>; 3],
+    /// Its derivative.
+    changes: [Vec<f64>; 3],
 }
 
 impl Equations {
     pub fn reserve(&mut self, size: usize) {
         self.matrix.reserve(size * size);
         self.right.reserve(size);
-        self.rows.iter_mut().for_each(|row| row.reserve(size));
+        self.rows.iter_mut().chain(&mut self.changes).for_each(|row| row.reserve(size));
     }
 
     /// Begins anew.
@@ -50,13 +52,7 @@ impl Equations {
         covariance_mm2: &Symmetric<3>,
     ) {
         let Some(root) = whitening(covariance_mm2) else { return };
-        for row in &mut self.rows {
-            row.clear();
-            row.resize(self.size, 0.0);
-        }
-        for cell in &cells.cells {
-            self.add_cell(influence, cell, place);
-        }
+        fill(&mut self.rows, self.size, influence, cells, place);
         let [into, along, across] = &mut self.rows;
         for ((a, b), c) in into.iter_mut().zip(along.iter_mut()).zip(across.iter_mut()) {
             [*a, *b, *c] = times(&root, [*a, *b, *c]);
@@ -75,22 +71,28 @@ impl Equations {
         }
     }
 
-    /// Adds the influence of one cell on the marker in this row and column.
-    fn add_cell(&mut self, influence: &Influence, cell: &Cell, (row, col): (usize, usize)) {
-        let (down, right) = (row.abs_diff(cell.row), col.abs_diff(cell.col));
-        let i = down * influence.side + right;
-        let sign = |is_before: bool| if is_before { -1.0 } else { 1.0 };
-        let (x, y) = (sign(col < cell.col), sign(row < cell.row));
-        let (aside_x, aside_y) = (x * influence.cross[0][i], y * influence.cross[1][i]);
-        let across = x * y * influence.across[i];
-        let effects = [
-            // The two cross terms are transposes (Betti), and odd: hence the sign.
-            [influence.normal[i], -aside_x, -aside_y],
-            [aside_x, influence.along[0][i], across],
-            [aside_y, across, influence.along[1][i]],
-        ];
-        for (list, effect) in self.rows.iter_mut().zip(effects) {
-            list[3 * cell.block..][..3].iter_mut().zip(effect).for_each(|(sum, effect)| *sum += effect);
+    /// Adds to `out` what [`Self::add`] would add to Kᵀ W (u - K x), differentiated by a number of the gel by
+    /// which the influence has this derivative.
+    pub fn differentiate(
+        &mut self,
+        [influence, derivative]: [&Influence; 2],
+        cells: &Cells,
+        place: (usize, usize),
+        (motion_mm, covariance_mm2): ([f64; 3], &Symmetric<3>),
+        x: &[f64],
+        out: &mut [f64],
+    ) {
+        let Some(root) = whitening(covariance_mm2) else { return };
+        fill(&mut self.rows, self.size, influence, cells, place);
+        fill(&mut self.changes, self.size, derivative, cells, place);
+        let product = |row: &Vec<f64>| row.iter().zip(x).map(|(entry, x)| entry * x).sum::<f64>();
+        let predicted_mm = [0, 1, 2].map(|i| product(&self.rows[i]));
+        let left = weighed(&root, core::array::from_fn(|i| motion_mm[i] - predicted_mm[i]));
+        let change = weighed(&root, [0, 1, 2].map(|i| product(&self.changes[i])));
+        for i in 0..3 {
+            for ((out, row), changed) in out.iter_mut().zip(&self.rows[i]).zip(&self.changes[i]) {
+                *out += changed * left[i] - row * change[i];
+            }
         }
     }
 
@@ -114,6 +116,36 @@ impl Equations {
     }
 }
 
+/// Influence of all unknowns on the marker in this row and column.
+fn fill(rows: &mut [Vec<f64>; 3], size: usize, influence: &Influence, cells: &Cells, place: (usize, usize)) {
+    for row in rows.iter_mut() {
+        row.clear();
+        row.resize(size, 0.0);
+    }
+    for cell in &cells.cells {
+        add_cell(rows, influence, cell, place);
+    }
+}
+
+/// Adds the influence of one cell on the marker in this row and column.
+fn add_cell(rows: &mut [Vec<f64>; 3], influence: &Influence, cell: &Cell, (row, col): (usize, usize)) {
+    let (down, right) = (row.abs_diff(cell.row), col.abs_diff(cell.col));
+    let i = down * influence.side + right;
+    let sign = |is_before: bool| if is_before { -1.0 } else { 1.0 };
+    let (x, y) = (sign(col < cell.col), sign(row < cell.row));
+    let (aside_x, aside_y) = (x * influence.cross[0][i], y * influence.cross[1][i]);
+    let across = x * y * influence.across[i];
+    let effects = [
+        // The two cross terms are transposes (Betti), and odd: hence the sign.
+        [influence.normal[i], -aside_x, -aside_y],
+        [aside_x, influence.along[0][i], across],
+        [aside_y, across, influence.along[1][i]],
+    ];
+    for (list, effect) in rows.iter_mut().zip(effects) {
+        list[3 * cell.block..][..3].iter_mut().zip(effect).for_each(|(sum, effect)| *sum += effect);
+    }
+}
+
 /// Lower triangle R with R C Rᵀ = 1; `None` if C is not positive definite.
 fn whitening(c: &Symmetric<3>) -> Option<[[f64; 3]; 3]> {
     let positive = |x: f64| (x > 0.0 && x.is_finite()).then(|| sqrt(x));
@@ -131,6 +163,12 @@ fn times(root: &[[f64; 3]; 3], v: [f64; 3]) -> [f64; 3] {
     [root[0][0] * v[0], root[1][0] * v[0] + root[1][1] * v[1], {
         root[2][0] * v[0] + root[2][1] * v[1] + root[2][2] * v[2]
     }]
+}
+
+/// Rᵀ R v, which is C⁻¹ v.
+fn weighed(root: &[[f64; 3]; 3], v: [f64; 3]) -> [f64; 3] {
+    let u = times(root, v);
+    [0, 1, 2].map(|k| (0..3).map(|i| root[i][k] * u[i]).sum())
 }
 
 #[cfg(test)]

@@ -5,6 +5,7 @@ use super::cone::project;
 use super::equations::Equations;
 use super::error::ForceError;
 use super::evidence::{Posterior, Variances};
+use super::gel_error::GelError;
 use super::moved::MovedMarkers;
 use super::resultant::{Place, Stiffness, spread};
 use super::wrench::Wrench;
@@ -85,6 +86,7 @@ pub struct ForceEstimator {
     /// Unit loads of the wrench's components, for each unknown.
     unit: Vec<f64>,
     halves: [Vec<f64>; 6],
+    gel_errors: Vec<GelError>,
 }
 
 impl ForceEstimator {
@@ -132,6 +134,11 @@ impl ForceEstimator {
             variances: None,
             unit: Vec::new(),
             halves: Default::default(),
+            gel_errors: if stiffness.is_some() {
+                Vec::new()
+            } else {
+                GelError::all(params, &layer, pitch_mm, side)
+            },
         };
         made.reserve();
         Ok(made)
@@ -155,7 +162,8 @@ impl ForceEstimator {
     pub fn work(&self) -> u64 {
         let (size, cells) = (self.equations.size as f64, self.cells.cells.len() as f64);
         let markers = self.equations.count as f64 / 3.0;
-        let assembly = markers * (PER_CELL * cells + PER_PAIR * size * size);
+        let assemblies = (1 + 2 * self.gel_errors.len()) as f64;
+        let assembly = markers * (assemblies * PER_CELL * cells + PER_PAIR * size * size);
         let rounds = self.posterior.rounds.min(USUAL_ROUNDS) as f64 * PER_TRIPLE * size * size * size;
         if self.variances.is_some() { (1e-3 * (BASE + assembly + rounds)) as u64 } else { 0 }
     }
@@ -167,6 +175,7 @@ impl ForceEstimator {
         self.posterior.reserve(size);
         self.unit.reserve(size);
         self.halves.iter_mut().for_each(|half| half.reserve(size));
+        self.gel_errors.iter_mut().for_each(|error| error.reserve(size));
     }
 
     /// Tractions that the part exerts on the gel around each marker, in kilopascals along the sensor's axes,
@@ -216,6 +225,7 @@ impl ForceEstimator {
             self.variances = None;
             return Ok(None);
         }
+        self.differentiate(moved);
         let wrench = self.wrench(self.model_share(moved));
         if self.params.method == ForceMethod::Bounded {
             project(&mut self.posterior, self.params.friction);
@@ -263,21 +273,54 @@ impl ForceEstimator {
         self.surround();
         self.equations.clear(3 * self.cells.blocks);
         for &n in self.cells.near.iter().filter(|&&n| moved.state[n] == MarkerState::Seen) {
-            let motion_mm = moved.points_mm[n] - self.rest.points_mm()[n];
-            let both = (&moved.covariance_mm2[n], &self.rest_covariance_mm2[n]);
-            let covariance_mm2 = core::array::from_fn(|i| {
-                core::array::from_fn(|k| {
-                    (0..9)
-                        .map(|jl| (jl / 3, jl % 3))
-                        .map(|(j, l)| self.axes[i][j] * (both.0[j][l] + both.1[j][l]) * self.axes[k][l])
-                        .sum()
-                })
-            });
-            let motion_mm = self.axes.map(|axis| motion_mm.dot(axis));
+            let (motion_mm, covariance_mm2) = self.motion(moved, n);
             let place = (n / self.cols, n % self.cols);
             self.equations.add(&self.influence, &self.cells, place, motion_mm, &covariance_mm2);
         }
         self.equations.mirror();
+    }
+
+    /// Motion of a marker since rest, into the layer, along rows and along columns, and its covariance.
+    fn motion(&self, moved: &MovedMarkers<'_>, n: usize) -> ([f64; 3], Symmetric<3>) {
+        let motion_mm = moved.points_mm[n] - self.rest.points_mm()[n];
+        let both = (&moved.covariance_mm2[n], &self.rest_covariance_mm2[n]);
+        let covariance_mm2 = core::array::from_fn(|i| {
+            core::array::from_fn(|k| {
+                (0..9)
+                    .map(|jl| (jl / 3, jl % 3))
+                    .map(|(j, l)| self.axes[i][j] * (both.0[j][l] + both.1[j][l]) * self.axes[k][l])
+                    .sum()
+            })
+        });
+        (self.axes.map(|axis| motion_mm.dot(axis)), covariance_mm2)
+    }
+
+    /// Derivatives of the tractions by the numbers of the gel that are not known exactly.
+    fn differentiate(&mut self, moved: &MovedMarkers<'_>) {
+        let mut errors = core::mem::take(&mut self.gel_errors);
+        let noise = self.variances.map_or(1.0, |variances| variances.noise);
+        for error in &mut errors {
+            error.right.clear();
+            error.right.resize(self.equations.size, 0.0);
+            for k in 0..self.cells.near.len() {
+                let n = self.cells.near[k];
+                if moved.state[n] != MarkerState::Seen {
+                    continue;
+                }
+                let (motion_mm, covariance_mm2) = self.motion(moved, n);
+                self.equations.differentiate(
+                    [&self.influence, &error.derivative],
+                    &self.cells,
+                    (n / self.cols, n % self.cols),
+                    (motion_mm, &covariance_mm2),
+                    &self.posterior.x,
+                    &mut error.right,
+                );
+            }
+            error.right.iter_mut().for_each(|entry| *entry /= noise);
+            self.posterior.factor.half(&error.right, &mut error.half);
+        }
+        self.gel_errors = errors;
     }
 
     /// Returns whether the tractions are determined.
@@ -346,13 +389,18 @@ impl ForceEstimator {
             [a, b, c, d, e, f]
         });
         let halves = &self.halves;
+        let mut of_gel = [[0.0; 6]; GelError::MOST];
+        of_gel.iter_mut().zip(&self.gel_errors).for_each(|(loads, error)| *loads = error.loads(halves));
         let covariance = core::array::from_fn(|i| {
             core::array::from_fn(|k| {
                 let own: f64 = halves[i].iter().zip(&halves[k]).map(|(a, b)| a * b).sum();
                 let product = |part: &[f64; 6]| part[i] * part[k];
                 let of_model = model_share * model_share * parts.iter().map(product).sum::<f64>();
                 let of_modulus = modulus_share * modulus_share * product(&loads);
-                own + of_model + of_modulus + crosstalk.iter().map(product).sum::<f64>()
+                own + of_model
+                    + of_modulus
+                    + crosstalk.iter().map(product).sum::<f64>()
+                    + of_gel.iter().map(product).sum::<f64>()
             })
         });
         let [fx, fy, fz, tx, ty, tz] = loads;

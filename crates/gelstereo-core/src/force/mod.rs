@@ -17,6 +17,7 @@ mod equations;
 mod error;
 mod estimator;
 mod evidence;
+mod gel_error;
 mod moved;
 mod resultant;
 mod wrench;

@@ -182,9 +182,9 @@ pub struct DetectParams {
     /// Largest marker. Valid: 1 to 100000000 px². Default: `2000` px². Raise it for large dots close to the
     /// camera.
     pub max_area_px2: u32,
-    /// Least and largest diameter of a marker; it takes the place of `min_area_px2` and `max_area_px2`. Valid: 1
-    /// to 1000 px, the least first. Default: absent. Set it where objects of another size stand out behind the
-    /// gel; `gelstereo inspect` states the diameter.
+    /// Least and largest diameter of a marker; it takes the place of `min_area_px2` and `max_area_px2`.
+    /// Valid: 1 to 1000 px, the least first. Default: absent. Set it where objects of another size stand out
+    /// behind the gel; `gelstereo inspect` states the diameter.
     #[cfg_attr(feature = "serde", serde(skip_serializing_if = "Option::is_none"))]
     pub dot_px: Option<[f64; 2]>,
     /// Least area over that of the bounding box's inscribed ellipse; scratches and merged pairs have less.

@@ -34,6 +34,10 @@ pub struct ForceParams {
     /// Default: none. Set it for every method.
     #[cfg_attr(feature = "serde", serde(skip_serializing_if = "Option::is_none"))]
     pub thickness_mm: Option<f64>,
+    /// Standard deviation of `thickness_mm`, for `ridge` and `bounded`. Valid: 0 to 1000 mm. Default: `0` mm.
+    /// Set it to what `gelstereo setup` states, unless `young_kpa` was calibrated with this thickness: that
+    /// modulus makes up for its error.
+    pub thickness_sigma_mm: f64,
     /// Young's modulus of the gel. Forces are proportional to it. Valid: 0.001 to 1000000 kPa. Default:
     /// none. Set it for every method, to what a known weight tells.
     #[cfg_attr(feature = "serde", serde(skip_serializing_if = "Option::is_none"))]
@@ -44,10 +48,16 @@ pub struct ForceParams {
     /// Poisson's ratio of the gel. Valid: 0 to 0.5. Default: `0.48`, of soft silicone.
     /// Change it if it was measured.
     pub poisson_ratio: f64,
+    /// Standard deviation of `poisson_ratio`, for `ridge` and `bounded`. Valid: 0 to 0.5. Default: `0`. Set
+    /// it where the ratio is a guess, unless `young_kpa` was calibrated with it.
+    pub poisson_sigma: f64,
     /// Coulomb's coefficient between gel and part, for `bounded`. Valid: 0 to 100. Default: none, a cell may
     /// be dragged by any traction where it is pressed. Set it if it is known.
     #[cfg_attr(feature = "serde", serde(skip_serializing_if = "Option::is_none"))]
     pub friction: Option<f64>,
+    /// Standard deviation of `friction`, for the range of a slip margin. Valid: 0 to 100. Default: `0`. Set
+    /// it to what `gelstereo setup` states.
+    pub friction_sigma: f64,
     /// For `resultant`: pressing force for each volume of gel displaced under the part, in addition to
     /// `around_n_per_mm3`. Valid: -1000 to 1000 N/mm³. Default: none. Set it to what `gelstereo
     /// calibrate-force --method resultant` finds.
@@ -72,10 +82,13 @@ impl Default for ForceParams {
         Self {
             method: ForceMethod::None,
             thickness_mm: None,
+            thickness_sigma_mm: 0.0,
             young_kpa: None,
             young_sigma_kpa: 0.0,
             poisson_ratio: 0.48,
+            poisson_sigma: 0.0,
             friction: None,
+            friction_sigma: 0.0,
             patch_n_per_mm3: None,
             around_n_per_mm3: None,
             shear_n_per_mm3: None,
@@ -94,10 +107,13 @@ impl ForceParams {
             found.map_or(Ok(()), |found| check(range.contains(&found), name, found, valid))
         };
         number("force.thickness_mm", self.thickness_mm, 0.1..=1e3, "0.1 to 1000 mm")?;
+        number("force.thickness_sigma_mm", Some(self.thickness_sigma_mm), 0.0..=1e3, "0 to 1000 mm")?;
         number("force.young_kpa", self.young_kpa, 1e-3..=1e6, "0.001 to 1000000 kPa")?;
         number("force.young_sigma_kpa", Some(self.young_sigma_kpa), 0.0..=1e6, "0 to 1000000 kPa")?;
         number("force.poisson_ratio", Some(self.poisson_ratio), 0.0..=0.5, "0 to 0.5")?;
+        number("force.poisson_sigma", Some(self.poisson_sigma), 0.0..=0.5, "0 to 0.5")?;
         number("force.friction", self.friction, 0.0..=100.0, "0 to 100")?;
+        number("force.friction_sigma", Some(self.friction_sigma), 0.0..=100.0, "0 to 100")?;
         for (name, found) in [
             ("force.patch_n_per_mm3", self.patch_n_per_mm3),
             ("force.around_n_per_mm3", self.around_n_per_mm3),

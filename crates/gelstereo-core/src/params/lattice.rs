@@ -52,6 +52,10 @@ pub struct LatticeParams {
     /// skin. Set it to what the maker states: without it, parts seem
     /// to lie this much nearer to the cameras.
     pub depth_mm: f64,
+    /// Standard deviation of `depth_mm`. All points of a frame share the error along the gel's normal, so
+    /// that it is part of the covariance of poses, and of points only where the gel is stretched or tilted.
+    /// Valid: 0 to 100 mm. Default: `0` mm. Set it to what `gelstereo setup` states.
+    pub depth_sigma_mm: f64,
     /// Share of the printed markers that may be missing in the rest frame; they are filled in from their
     /// neighbours, as the paper does for the corner that its print lacks (Fig. 4). Valid: 0 to 0.5. Default:
     /// `0.01`, 6 of 625. Raise it for a worn print; lower it so that a bad rest frame is refused sooner.
@@ -72,6 +76,7 @@ impl Default for LatticeParams {
             pitch_mm: Pitch::square(0.9),
             dot_radius_mm: None,
             depth_mm: 0.0,
+            depth_sigma_mm: 0.0,
             max_missing_share: 0.01,
             missing: Vec::new(),
         }
@@ -118,8 +123,11 @@ impl LatticeParams {
             let valid = radius >= 1e-4 && 2.0 * radius < self.pitch_mm.x_mm.min(self.pitch_mm.y_mm);
             check(valid, "lattice.dot_radius_mm", radius, "0.0001 mm to below half of lattice.pitch_mm")?;
         }
-        let depth = self.depth_mm;
-        check((0.0..=100.0).contains(&depth), "lattice.depth_mm", depth, "0 to 100 mm")?;
+        for (name, mm) in
+            [("lattice.depth_mm", self.depth_mm), ("lattice.depth_sigma_mm", self.depth_sigma_mm)]
+        {
+            check((0.0..=100.0).contains(&mm), name, mm, "0 to 100 mm")?;
+        }
         let share = self.max_missing_share;
         check((0.0..=0.5).contains(&share), "lattice.max_missing_share", share, "from 0 to 0.5")
     }

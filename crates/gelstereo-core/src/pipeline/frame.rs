@@ -104,6 +104,10 @@ pub struct Frame {
     /// Decay length used to detect the contact, over which the gel returns to rest beside it,
     /// millimetres: `contact.decay_mm`, or the value learned since.
     pub decay_mm: f64,
+    /// Standard deviation of an error along the gel's normal that all points share, millimetres:
+    /// `lattice.depth_sigma_mm`. `covariance_mm2` leaves it out, and the covariance of a pose includes it.
+    #[cfg_attr(feature = "serde", serde(default))]
+    pub offset_sigma_mm: f64,
     /// Mean motion of the seen markers of the left view since the reference, pixels.
     pub motion_px: f64,
     /// Markers seen in both views that correspond to no point in space (rows or disparity disagree), or
@@ -196,6 +200,7 @@ impl Touch {
             covariance_mm2: Some(&self.covariance_mm2),
             unpressed_mm: &self.unpressed_mm,
             decay_mm: frame.decay_mm,
+            offset_sigma_mm: frame.offset_sigma_mm,
             ..Contact::new(&self.points_mm)
         }
     }

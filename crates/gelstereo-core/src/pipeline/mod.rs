@@ -25,7 +25,7 @@ pub use marker_tracker::{MarkerTracker, MarkerTrackerError};
 pub use pace::Pace;
 pub use pitch::PitchCheck;
 pub use rest_record::{RestRecord, RestRecordError, RestView};
-pub use skin::Skin;
+pub use skin::{Skin, SkinDepth};
 
 use crate::contact::{self, ContactDetector, ContactRule, Decay, MarkerHeights, RestSurface, StereoMismatch};
 use crate::detect::DetectError;
@@ -345,8 +345,8 @@ impl Pipeline {
             pitch_px,
         );
         copy_into(&left.positions_px, &mut self.reference_px);
-        let depth_mm = self.params.lattice.depth_mm;
-        let skin = (depth_mm > 0.0).then(|| Skin::new(&rest, self.topology, depth_mm)).transpose();
+        let depth = SkinDepth::of(&self.params.lattice);
+        let skin = depth.map(|depth| Skin::new(&rest, self.topology, depth)).transpose();
         let skin = skin.map_err(PipelineError::Contact)?;
         let (asked, surface) = (&self.params.force, skin.as_ref().map_or(&rest, Skin::rest));
         let force = (asked.method != ForceMethod::None)
@@ -429,6 +429,7 @@ impl Pipeline {
             let rest = skin.rest();
             rest.indentation_mm(&out.points_mm, &mut out.indentation_mm).map_err(PipelineError::Contact)?;
         }
+        out.offset_sigma_mm = self.params.lattice.depth_sigma_mm;
         out.wrench = None;
         out.traction_kpa.clear();
         if let Some(force) = &mut self.force {
@@ -450,7 +451,8 @@ impl Pipeline {
         }
         let Frame { points_mm, traction_kpa, wrench, slip, .. } = out;
         if let (Some(slip), Some(wrench), Some(friction)) = (slip, wrench, self.params.force.friction) {
-            let loads = LoadedContact { wrench, traction_kpa, points_mm, normal, friction };
+            let friction_sigma = self.params.force.friction_sigma;
+            let loads = LoadedContact { wrench, traction_kpa, points_mm, normal, friction, friction_sigma };
             slip.margin = Margin::of_limit(&loads).or(slip.margin);
         }
         out.motion_px = contact::mean_motion_px(&self.reference_px, &out.left_px, &out.state);

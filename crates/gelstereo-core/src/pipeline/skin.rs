@@ -19,16 +19,36 @@ use crate::contact::{ContactError, RestSurface, variance_along};
 use crate::lattice::Topology;
 use crate::math::linalg::{Symmetric, add_outer};
 use crate::math::{DVec3, abs};
+use crate::params::LatticeParams;
 use alloc::vec::Vec;
 
 /// Standard deviation of the skin's distance over the change of that distance since rest. The rms errors
 /// above are 0.11 to 0.15 of it, and 0.22 to 0.30 between 0.7 and 0.95 of the contact's radius.
 const SIGMA_OF_CHANGE: f64 = 0.2;
 
+/// Depth of a print below the skin.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SkinDepth {
+    /// The depth.
+    pub mm: f64,
+    /// Its standard deviation.
+    pub sigma_mm: f64,
+}
+
+impl SkinDepth {
+    /// By the settings; `None` for a print that is the skin.
+    #[must_use]
+    pub fn of(params: &LatticeParams) -> Option<Self> {
+        let (mm, sigma_mm) = (params.depth_mm, params.depth_sigma_mm);
+        (mm > 0.0 || sigma_mm > 0.0).then_some(Self { mm, sigma_mm })
+    }
+}
+
 /// Skin over a lattice of markers.
 #[derive(Clone, Debug)]
 pub struct Skin {
     depth_mm: f64,
+    depth_sigma_mm: f64,
     topology: Topology,
     /// Cell of each marker at rest, relative to its neighbours: |along rows x along columns|, mm².
     area_mm2: Vec<f64>,
@@ -45,18 +65,20 @@ struct Span {
 }
 
 impl Skin {
-    /// Over the markers of a print at rest; `depth_mm` is that of the print below the skin.
+    /// Over the markers of a print at rest, which lies so deep below the skin.
     ///
     /// # Errors
     /// [`ContactError`] if the skin at rest spans no plane.
-    pub fn new(rest: &RestSurface, topology: Topology, depth_mm: f64) -> Result<Self, ContactError> {
+    pub fn new(rest: &RestSurface, topology: Topology, depth: SkinDepth) -> Result<Self, ContactError> {
+        let SkinDepth { mm: depth_mm, sigma_mm: depth_sigma_mm } = depth;
         let markers_mm = rest.points_mm().to_vec();
         let below = -depth_mm * rest.normal();
         let skin_mm: Vec<DVec3> = markers_mm.iter().map(|&marker| marker + below).collect();
         let spans = (0..markers_mm.len()).map(|i| spans(&markers_mm, topology, i));
         let area_mm2 = spans.map(|[row, col]| row.vector_mm.cross(col.vector_mm).length()).collect();
         let marker_mm2 = Vec::with_capacity(markers_mm.len());
-        Ok(Self { depth_mm, topology, area_mm2, rest: RestSurface::new(&skin_mm)?, markers_mm, marker_mm2 })
+        let rest = RestSurface::new(&skin_mm)?;
+        Ok(Self { depth_mm, depth_sigma_mm, topology, area_mm2, rest, markers_mm, marker_mm2 })
     }
 
     /// The skin at rest.
@@ -66,7 +88,8 @@ impl Skin {
     }
 
     /// Replaces markers and their covariances by the skin over them. Markers beyond those at rest are left as
-    /// they are.
+    /// they are. An error of the depth moves all points by as much along the normal at rest. The covariances
+    /// leave that out, and have what it moves each point beyond.
     pub fn lift(&mut self, points_mm: &mut [DVec3], covariance_mm2: &mut [Symmetric<3>]) {
         self.markers_mm.clear();
         self.markers_mm.extend_from_slice(points_mm);
@@ -101,6 +124,8 @@ impl Skin {
                 add_outer(covariance_mm2, ends(normal), direction.to_array());
             }
             add_outer(covariance_mm2, along_mm2, normal.to_array());
+            let beyond = rest_mm2 / area_mm2 * normal - self.rest.normal();
+            add_outer(covariance_mm2, self.depth_sigma_mm * self.depth_sigma_mm, beyond.to_array());
         }
     }
 }

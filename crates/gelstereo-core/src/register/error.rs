@@ -151,6 +151,11 @@ pub enum RegisterError {
         /// The press direction.
         press_direction: [f64; 3],
     },
+    /// An invalid standard deviation of the points' common error.
+    Offset {
+        /// The value found.
+        found_mm: f64,
+    },
     /// An invalid decay length of the gel.
     Decay {
         /// The length found.
@@ -227,6 +232,9 @@ impl core::fmt::Display for RegisterError {
                  {z:.2}); valid is up to {max_deg:.0}: hand over press_direction, the way from the part into \
                  the gel, if the part was not pressed toward the camera, or check the frame of the points"
             ),
+            Self::Offset { found_mm } => {
+                write!(f, "the standard deviation of the offset is {found_mm} mm; valid is a length from 0")
+            }
             Self::Decay { found_mm } => {
                 write!(
                     f,

@@ -230,6 +230,33 @@ impl Observability {
         self
     }
 
+    /// Adds an error along a unit direction that all points share, of this standard deviation. Free
+    /// directions stay as they are.
+    pub(super) fn with_offset(&self, direction: DVec3, sigma_mm: f64) -> Self {
+        let largest = self.values.iter().fold(0.0, |largest: f64, value| largest.max(*value));
+        let mut information = [[0.0; 6]; 6];
+        for (u, value) in self.directions.iter().zip(self.values) {
+            // Free directions are set apart as the last ones.
+            add_outer(&mut information, u, if value > 0.0 { value } else { 2.0 * largest });
+        }
+        let mut shift = stack(DVec3::ZERO, direction);
+        for (u, _) in self.directions.iter().zip(self.values).filter(|(_, value)| *value == 0.0) {
+            let along = dot(u, &shift);
+            shift.iter_mut().zip(u).for_each(|(shift, u)| *shift -= along * u);
+        }
+        // (H⁻¹ + σ² w wᵀ)⁻¹ (Sherman and Morrison 1950).
+        let told = information.map(|row| dot(&row, &shift));
+        let variance = sigma_mm * sigma_mm;
+        add_outer(&mut information, &told, -variance / (1.0 + variance * dot(&shift, &told)));
+        let Eigen { values, vectors } = linalg::eigen(&information);
+        let mut with = *self;
+        let determined = (0..6).filter(|&k| self.values[k] > 0.0);
+        for (k, (value, vector)) in determined.zip(values.into_iter().zip(vectors)) {
+            (with.values[k], with.directions[k]) = (value, vector);
+        }
+        with
+    }
+
     /// Information of a left perturbation (ω, v) about the frame's origin; singular along free directions.
     #[must_use]
     pub fn information(&self) -> Symmetric<6> {

@@ -98,6 +98,10 @@ impl Registrar {
         self.params.validate()?;
         let points_mm = contact.points_mm;
         let guess = check(points_mm, guess)?;
+        let offset_sigma_mm = contact.offset_sigma_mm;
+        if !(0.0..=limits::REACH_MM).contains(&offset_sigma_mm) {
+            return Err(RegisterError::Offset { found_mm: offset_sigma_mm });
+        }
         let Self { params, scratch, surface } = self;
         // Normals are read at samples, hence up to half a spacing away.
         let by_samples_mm = params.point_sigma_mm.max(0.5 * template.spacing_mm());
@@ -116,6 +120,9 @@ impl Registrar {
             }
         };
         copies::honour(&mut found, template.symmetries(), &guess, resolution_mm);
+        if offset_sigma_mm > 0.0 {
+            found.observability = found.observability.with_offset(contact.press_direction, offset_sigma_mm);
+        }
         Ok(found)
     }
 

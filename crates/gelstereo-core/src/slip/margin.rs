@@ -39,7 +39,7 @@ pub struct Margin {
     /// The share, or the middle of its range where it follows from the stick ratio.
     pub share: f64,
     /// Its range: of the stick range and of the law for thick and thin gels, or 95 % by the covariance of
-    /// the wrench.
+    /// the wrench and the standard deviation of friction.
     pub range: [f64; 2],
     /// What it follows from.
     pub source: MarginSource,
@@ -58,6 +58,8 @@ pub struct LoadedContact<'a> {
     pub normal: DVec3,
     /// Coulomb's coefficient.
     pub friction: f64,
+    /// Its standard deviation.
+    pub friction_sigma: f64,
 }
 
 impl Margin {
@@ -101,7 +103,8 @@ impl Margin {
         let by_torque = normal * (twist / (limit_n * radius_mm));
         let pressing_sigma_n = deviation(&wrench, normal, DVec3::ZERO);
         let of_arm = ARM_SHARE * twist * twist_n / limit_n;
-        let sigma = hypot(deviation(&wrench, by_force, by_torque), of_arm);
+        let of_friction = used * loads.friction_sigma / friction;
+        let sigma = hypot(hypot(deviation(&wrench, by_force, by_torque), of_arm), of_friction);
         let is_known = !loads.wrench.is_cut && friction > 0.0 && pressing_n > MIN_PRESSED * pressing_sigma_n;
         let share = |used: f64| (1.0 - used).clamp(0.0, 1.0);
         (is_known && used.is_finite() && sigma.is_finite()).then(|| Self {
@@ -140,6 +143,15 @@ mod tests {
     use proptest::prelude::*;
 
     fn of(force_n: DVec3, torque_nmm: f64, friction: f64, covariance: Symmetric<6>) -> Option<Margin> {
+        with_sigma(force_n, torque_nmm, [friction, 0.0], covariance)
+    }
+
+    fn with_sigma(
+        force_n: DVec3,
+        torque_nmm: f64,
+        [friction, friction_sigma]: [f64; 2],
+        covariance: Symmetric<6>,
+    ) -> Option<Margin> {
         let points_mm = [DVec3::X, DVec3::Y, -DVec3::X, -DVec3::Y].map(|arm| arm * 2.0 + DVec3::Z * 30.0);
         let (about_mm, torque_nmm) = (DVec3::Z * 30.0, DVec3::Z * -torque_nmm);
         let (misfit, cells, markers, is_cut) = (1.0, 4, 9, false);
@@ -151,6 +163,7 @@ mod tests {
             points_mm: &points_mm,
             normal: -DVec3::Z,
             friction,
+            friction_sigma,
         };
         Margin::of_limit(&loads)
     }
@@ -173,6 +186,20 @@ mod tests {
             let noisy = of(force_n, 2.0 * twist * limit_n, friction, covariance).unwrap();
             prop_assert!(noisy.range[0] <= noisy.share && noisy.share <= noisy.range[1]);
             prop_assert!(noisy.range[0] <= exact.range[0] && exact.range[1] <= noisy.range[1]);
+        }
+
+        /// Without torque, an unknown friction alone makes a range of 1 - Q/(mu P) with the relative error of
+        /// mu.
+        #[test]
+        fn an_uncertain_friction_widens_the_range(
+            share in 0.1..0.6_f64, friction in 0.1..2.0_f64, relative in 0.01..0.3_f64,
+        ) {
+            let force_n = DVec3::new(share * friction * 4.0, 0.0, -4.0);
+            let found = with_sigma(force_n, 0.0, [friction, relative * friction], [[0.0; 6]; 6]).unwrap();
+            let half = 1.96 * relative * share;
+            prop_assert!((found.share - (1.0 - share)).abs() < 1e-12);
+            prop_assert!((found.range[0] - (1.0 - share - half)).abs() < 1e-12);
+            prop_assert!((found.range[1] - (1.0 - share + half).min(1.0)).abs() < 1e-12);
         }
 
         /// Thicker gels leave more, and the range holds every law between.

@@ -174,3 +174,34 @@ fn a_solved_step_reaches_the_planes() {
     let moved = sqrt(4.0 * omega_short.length_squared() + v_short.length_squared());
     assert!((moved - 0.01).abs() < 1e-15 && v_short.dot(v) > 0.0);
 }
+
+/// The covariance of determined directions grows by that of the shift, and free ones stay free.
+#[test]
+fn an_offset_of_all_points_adds_its_variance() {
+    let (seen, _) = ellipse(0.0, 0.01);
+    let direction = DVec3::new(cos(0.8), sin(0.8), 0.0);
+    let with = seen.with_offset(direction, 0.3);
+    assert_eq!((seen.free_count(), with.free_count()), (2, 2));
+    let [before, after] = [seen, with].map(|seen| seen.determined_covariance());
+    // What remains of the shift without its part along free directions.
+    let mut shift = stack(DVec3::ZERO, direction);
+    for (u, _) in seen.directions.iter().zip(seen.values).filter(|(_, value)| *value == 0.0) {
+        let along = dot(u, &shift);
+        shift.iter_mut().zip(u).for_each(|(shift, u)| *shift -= along * u);
+    }
+    let (omega, v) = seen.motion(&shift);
+    let moved = stack(omega, v - omega.cross(seen.centre_mm));
+    let size = dot(&moved, &moved);
+    assert!(size > 0.9, "{size}");
+    for i in 0..6 {
+        for k in 0..6 {
+            let expected = before[i][k] + 0.09 * moved[i] * moved[k];
+            assert!((after[i][k] - expected).abs() < 1e-9 * size, "{i} {k} {} {expected}", after[i][k]);
+        }
+    }
+    let prior = GuessSigma { turn_rad: 0.2, shift_mm: 2.0 };
+    let [given, same] = [seen, seen.with_offset(direction, 0.0)].map(|seen| seen.covariance(&prior));
+    for (a, b) in given.iter().flatten().zip(same.iter().flatten()) {
+        assert!((a - b).abs() < 1e-9 * (1.0 + a.abs()), "{a} {b}");
+    }
+}

@@ -25,6 +25,9 @@ pub struct Contact<'a> {
     /// Length over which the gel's surface returns to rest beside a contact, `contact.decay_mm`. With it
     /// and the unpressed markers, the markers in contact at a pose can be predicted.
     pub decay_mm: f64,
+    /// Standard deviation of an error along `press_direction` that all points and markers share, as from the
+    /// depth of the print: [`Frame::offset_sigma_mm`](crate::pipeline::Frame). The pose has it, too.
+    pub offset_sigma_mm: f64,
 }
 
 impl<'a> Contact<'a> {
@@ -32,7 +35,14 @@ impl<'a> Contact<'a> {
     #[must_use]
     pub const fn new(points_mm: &'a [DVec3]) -> Self {
         let decay_mm = ContactParams::DECAY_MM;
-        Self { points_mm, covariance_mm2: None, unpressed_mm: &[], press_direction: DVec3::NEG_Z, decay_mm }
+        Self {
+            points_mm,
+            covariance_mm2: None,
+            unpressed_mm: &[],
+            press_direction: DVec3::NEG_Z,
+            decay_mm,
+            offset_sigma_mm: 0.0,
+        }
     }
 
     /// Refuses an invalid input, except for the salient points, which have been checked.
