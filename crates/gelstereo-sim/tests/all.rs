@@ -11,6 +11,7 @@ mod disc_bias;
 mod effects;
 mod effects_off;
 mod force;
+mod free_sides;
 mod gallery;
 mod history;
 mod label_slips;

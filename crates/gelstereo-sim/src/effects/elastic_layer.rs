@@ -30,11 +30,20 @@ pub struct ElasticLayer {
     pub cells_per_pitch: usize,
     /// Margin beyond the outermost markers within which the part may press, in pitches. Default: `2`.
     pub border_pitches: usize,
+    /// Gel beyond the outermost markers, up to its free sides, mm; rounded to half a cell. It sinks and moves
+    /// farther near them, and nothing presses beyond them. With `relaxation`, the motion by the sides is not
+    /// remembered. Default: absent, the gel has no end.
+    #[cfg_attr(feature = "serde", serde(skip_serializing_if = "Option::is_none"))]
+    pub rim_mm: Option<f64>,
 }
+
+/// Largest motion over that of a layer without sides.
+const OF_SIDES: f64 = 1.5;
 
 impl Default for ElasticLayer {
     fn default() -> Self {
-        Self { poisson_ratio: 0.48, young_kpa: 100.0, friction: 0.8, cells_per_pitch: 2, border_pitches: 2 }
+        let (cells_per_pitch, border_pitches, rim_mm) = (2, 2, None);
+        Self { poisson_ratio: 0.48, young_kpa: 100.0, friction: 0.8, cells_per_pitch, border_pitches, rim_mm }
     }
 }
 
@@ -42,6 +51,8 @@ impl ElasticLayer {
     /// Distance to the part at which a cell in contact has converged: 0.1 um is 2e-3 px on the default
     /// rig.
     pub(crate) const TOLERANCE_MM: f64 = 1e-4;
+    /// Largest rim, in thicknesses. Sides that far away move nothing: motion falls by half in a thickness.
+    const MAX_RIM: f64 = 20.0;
 
     /// The layer, the cells, and the markers' places on them.
     pub(crate) fn cells(&self, gel: &Gel) -> (Layer, Grid, Places) {
@@ -56,8 +67,14 @@ impl ElasticLayer {
 impl Effect for ElasticLayer {
     fn validate(&self, gel: &Gel) -> Result<(), SceneError> {
         let check = SceneError::check;
-        let Self { poisson_ratio: nu, young_kpa, friction, cells_per_pitch: cells, border_pitches: border } =
-            *self;
+        let Self {
+            poisson_ratio: nu,
+            young_kpa,
+            friction,
+            cells_per_pitch: cells,
+            border_pitches: border,
+            ..
+        } = *self;
         check((0.0..=0.5).contains(&nu), "effects.elastic_layer.poisson_ratio", nu, "0 to 0.5")?;
         let valid = (1e-3..=1e6).contains(&young_kpa);
         check(valid, "effects.elastic_layer.young_kpa", young_kpa, "0.001 to 1000000 kPa")?;
@@ -66,6 +83,12 @@ impl Effect for ElasticLayer {
         check((1..=16).contains(&cells), name, cells as f64, "1 to 16")?;
         let name = "effects.elastic_layer.border_pitches";
         check(border <= 64, name, border as f64, "0 to 64")?;
+        if let Some(rim_mm) = self.rim_mm {
+            let [x_mm, y_mm] = gel.pitch_mm.axes_mm();
+            let valid = (0.5 * x_mm.max(y_mm)..=Self::MAX_RIM * gel.thickness_mm).contains(&rim_mm);
+            let name = "effects.elastic_layer.rim_mm";
+            check(valid, name, rim_mm, "half of gel.pitch_mm to 20 times gel.thickness_mm")?;
+        }
         let (layer, grid, _) = self.cells(gel);
         let (cell_mm, side) = (grid.cell_mm[0].max(grid.cell_mm[1]), grid.rows.max(grid.cols));
         let name = "cell of effects.elastic_layer, gel.pitch_mm / cells_per_pitch,";
@@ -80,8 +103,9 @@ impl Effect for ElasticLayer {
     }
 
     fn bound(&self, facts: &Facts<'_>) -> Bound {
-        // Heights range from a bulge, lower than the depth, to the depth.
-        facts.moved(self.sideways_mm(facts), 2.0 * facts.touch.depth_mm)
+        // Heights range from a bulge, lower than the depth, to the depth. Sides add less than half of it.
+        let of_sides = if self.rim_mm.is_some() { OF_SIDES } else { 1.0 };
+        facts.moved(of_sides * self.sideways_mm(facts), 2.0 * of_sides * facts.touch.depth_mm)
     }
 
     fn cost_ns(&self, facts: &Facts<'_>) -> f64 {
@@ -91,7 +115,10 @@ impl Effect for ElasticLayer {
         let pressed = (facts.touch.footprint_mm2 / (pitch.x_mm * pitch.y_mm) * per_pitch).min(cells);
         let products = if self.friction > 0.0 { 120.0 } else { 12.0 };
         // Heights of cells; transforms over about twice the pressed cells; sums over cells and markers.
-        30.0 * cells + 150.0 * products * (pressed + 64.0) + pressed * facts.markers() * 3.0
+        let once = 30.0 * cells + 150.0 * products * (pressed + 64.0) + pressed * facts.markers() * 3.0;
+        // Further solves, and sums over four images of every loaded cell.
+        let images = if self.rim_mm.is_some() { 1.0 } else { 0.0 };
+        once + images * (2.0 * once + 4.0 * 10.0 * pressed * (facts.markers() + 3.0 * pressed))
     }
 
     /// A wide part displaces depth times half the span of gel, spread over the thickness. The surface

@@ -13,6 +13,7 @@ mod friction;
 mod memory;
 mod nodes;
 mod operator;
+mod sides;
 mod window;
 
 pub use contact::Convergence;
@@ -21,6 +22,7 @@ pub use gelstereo_core::layer::{Compliance, Layer};
 pub(crate) use memory::Memory;
 pub use memory::PronyTerm;
 pub(crate) use nodes::{Motion, Nodes, Places};
+pub(crate) use sides::Sides;
 
 use alloc::sync::Arc;
 use alloc::vec::Vec;

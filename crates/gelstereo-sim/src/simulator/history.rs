@@ -141,7 +141,7 @@ impl Simulator {
         layered.forget_solved();
         self.scratch.motion.clear();
         self.scratch.motion.resize(self.rest.len(), DVec2::ZERO);
-        layered.nodes.motion(&layered.contact, &mut layered.motion);
+        layered.move_markers();
         self.follow(&layered.motion);
         self.meet(&contacts, &layered);
         (self.scratch.contacts, self.layered) = (contacts, Some(layered));
@@ -226,7 +226,9 @@ impl Simulator {
             [0, 1].map(|axis| history.aside[axis][cell] + moved.dot(axes[axis]))
         };
         // Other contacts may have been solved since the last step.
+        layered.forget_sides();
         layered.solve(Start::Afresh, carried);
+        layered.meet_sides(carried);
         self.meet_displaced(layered, &contacts, (ROUNDS, &rest), carried);
         (layered.history, layered.rest) = (history, rest);
         (self.scratch.meanwhile, self.scratch.motions) = (contacts, motions);
@@ -261,5 +263,9 @@ impl Layered {
         touching.extend(self.contact.pressure().iter().map(|&p| p > 0.0));
         part.clone_from(&self.obstacle.part);
         self.contact.surface_mm(into, aside);
+        let [x, y] = aside;
+        for (field, own) in [into, x, y].into_iter().zip(&self.beside) {
+            field.iter_mut().zip(own).for_each(|(u, own)| *u += own);
+        }
     }
 }

@@ -7,12 +7,15 @@ use super::press::carried_mm;
 use super::sheet::skin_mm;
 use crate::effects::ElasticLayer;
 use crate::lattice;
-use crate::layer::{self, Grid, LayerContact, Memory, Motion, Nodes, Places, Start};
+use crate::layer::{self, Grid, LayerContact, Memory, Motion, Nodes, Places, Sides, Start};
 use crate::scene::{Scene, SceneError};
 use crate::simulator::ContactState;
 use alloc::sync::Arc;
 use alloc::vec::Vec;
 use gelstereo_core::math::DVec2;
+
+/// Most solves with the motion by the sides. Each changes it by a tenth to a third of the last change.
+const SIDE_ROUNDS: usize = 6;
 
 /// An elastic layer and the buffers of its solves.
 #[derive(Clone, Debug)]
@@ -26,6 +29,12 @@ pub(super) struct Layered {
     /// Further solves with the cells at their displaced places.
     rounds: usize,
     memory: Option<Memory>,
+    rim_mm: Option<f64>,
+    sides: Option<Sides>,
+    /// Motion of the cells in contact by the sides: into the layer, and along its axes.
+    pub(super) beside: [Vec<f64>; 3],
+    /// Heights of the parts in the last solve, before anything was subtracted.
+    bare_mm: Vec<f64>,
     pub(super) history: History,
     /// Trajectory frame of the last solve.
     solved: Option<u64>,
@@ -60,6 +69,11 @@ impl Layered {
         let contact = contact.map_err(SceneError::Layer)?;
         let nodes = nodes.unwrap_or_else(|| Arc::new(Nodes::new(&contact, places)));
         let cells = grid.rows * grid.cols;
+        let known = before.filter(same).filter(|before| before.rim_mm == effect.rim_mm);
+        let sides = match known {
+            Some(before) => before.sides.clone(),
+            None => effect.rim_mm.map(|rim_mm| Sides::new(&contact, places, rim_mm)),
+        };
         let memory =
             effects.relaxation.as_ref().map(|gel| Memory::new(&gel.terms, 1.0 / scene.frame_rate_hz, cells));
         let none = || Vec::with_capacity(cells);
@@ -72,6 +86,10 @@ impl Layered {
             sticks: effect.friction > 0.0,
             rounds: effects.large_strain.as_ref().map_or(0, |effect| effect.rounds),
             memory,
+            rim_mm: effect.rim_mm,
+            sides,
+            beside: effect.rim_mm.map_or_else(Default::default, |_| [none(), none(), none()]),
+            bare_mm: none(),
             history: History::default(),
             solved: None,
             skin_mm: skin_mm(gel, (0..cells).map(|cell| from_middle(grid, cell))).into(),
@@ -110,7 +128,10 @@ impl Layered {
         let mut farthest = 0.0_f64;
         self.now.clear();
         for (cell, at) in self.obstacle.at.iter().enumerate() {
-            let own = |axis: usize| remembered.map_or(0.0, |fields| fields[1 + axis][cell]);
+            let own = |axis: usize| {
+                let beside = self.beside[1 + axis].get(cell).map_or(0.0, |u| *u);
+                beside + remembered.map_or(0.0, |fields| fields[1 + axis][cell])
+            };
             let [along, across] = [0, 1].map(|axis| self.aside[axis][cell] + own(axis));
             let now = rest[cell] + axes[0] * along + axes[1] * across;
             if self.contact.pressure()[cell] > 0.0 {
@@ -124,14 +145,15 @@ impl Layered {
     /// Solves for the parts' heights, minus the remembered motion. Every cell is asked to follow the part
     /// that it is under: `carried_mm(part, cell)`, along the lattice's axes.
     pub(super) fn solve(&mut self, start: Start, carried_mm: impl Fn(usize, usize) -> [f64; 2]) {
-        let Self { contact, obstacle: Highest { heights, part, .. }, carried, memory, .. } = self;
+        let Self { contact, obstacle: Highest { heights, part, .. }, carried, memory, beside, .. } = self;
         carried.iter_mut().for_each(Vec::clear);
         for (cell, &part) in part.iter().enumerate() {
             let carried_mm = carried_mm(part.into(), cell);
             carried.iter_mut().zip(carried_mm).for_each(|(field, carried_mm)| field.push(carried_mm));
         }
-        if let Some(memory) = memory {
-            let [into, along, across] = memory.remembered();
+        self.bare_mm.clone_from(heights);
+        let remembered = memory.as_ref().map(Memory::remembered);
+        for [into, along, across] in remembered.into_iter().chain(self.sides.is_some().then_some(&*beside)) {
             // The support plate limits the depth as before.
             let max_mm = contact.layer().thickness_mm;
             heights.iter_mut().zip(into).for_each(|(height, own)| *height = (*height - own).min(max_mm));
@@ -139,10 +161,63 @@ impl Layered {
                 carried.iter_mut().zip(own).for_each(|(carried, own)| *carried -= own);
             }
         }
+        if let Some(sides) = &self.sides {
+            let beyond = heights.iter_mut().enumerate().filter(|(cell, _)| !sides.holds(*cell));
+            beyond.for_each(|(_, height)| *height = f64::NEG_INFINITY);
+        }
         let [x, y] = &*carried;
         let part = layer::Part { heights_mm: heights, carried_mm: self.sticks.then_some([x, y]) };
         // A valid scene gives valid inputs; a solve that gives up keeps its last state.
         let _ = contact.press(part, ElasticLayer::TOLERANCE_MM, start);
+    }
+
+    /// Before a contact is solved anew.
+    pub(super) fn forget_sides(&mut self) {
+        let cells = self.skin_mm.len();
+        if self.sides.is_some() {
+            self.beside.iter_mut().for_each(|field| {
+                field.clear();
+                field.resize(cells, 0.0);
+            });
+        }
+    }
+
+    /// Finds how the sides move the cells in contact. Returns the largest change since the last time.
+    fn feel_sides(&mut self) -> f64 {
+        let Some(sides) = &mut self.sides else { return 0.0 };
+        sides.take(&self.contact);
+        let mut farthest = 0.0_f64;
+        for (cell, (&pressure, &height)) in
+            self.contact.pressure().iter().zip(&self.obstacle.heights).enumerate()
+        {
+            if pressure > 0.0 || height > 0.0 {
+                for (field, now) in self.beside.iter_mut().zip(sides.motion(cell)) {
+                    farthest = farthest.max((now - field[cell]).abs());
+                    field[cell] = now;
+                }
+            }
+        }
+        farthest
+    }
+
+    /// Solves again with the motion by the sides, until it stays.
+    pub(super) fn meet_sides(&mut self, carried_mm: impl Fn(usize, usize) -> [f64; 2]) {
+        for _round in 0..SIDE_ROUNDS {
+            if self.feel_sides() <= ElasticLayer::TOLERANCE_MM {
+                break;
+            }
+            self.obstacle.heights.clone_from(&self.bare_mm);
+            self.solve(Start::Last, &carried_mm);
+        }
+    }
+
+    /// Motion of the markers under the loads of the last solve.
+    pub(super) fn move_markers(&mut self) {
+        self.nodes.motion(&self.contact, &mut self.motion);
+        if let Some(sides) = &mut self.sides {
+            sides.take(&self.contact);
+            sides.add(self.places, &mut self.motion);
+        }
     }
 
     /// Adds the cells' remembered motion to the markers' motion.
@@ -170,7 +245,7 @@ impl Simulator {
         let planned = || contacts.iter().enumerate().all(|(n, c)| *c == self.trajectory.contact(n, time_s));
         let of_frame = time_s == self.trajectory.time_s(frame) && planned();
         layered.solved = of_frame.then_some(frame);
-        layered.nodes.motion(&layered.contact, &mut layered.motion);
+        layered.move_markers();
         layered.recall();
         self.follow(&layered.motion);
         self.meet(contacts, &layered);
@@ -213,7 +288,9 @@ impl Simulator {
         let place = |part: usize, cell: usize| rest[cell] + moved(part, cell);
         let carried = |part: usize, cell: usize| axes.map(|axis| moved(part, cell).dot(axis));
         self.parts.highest(contacts, (&layered.skin_mm, place), &mut layered.obstacle);
+        layered.forget_sides();
         layered.solve(Start::Afresh, carried);
+        layered.meet_sides(carried);
         self.meet_displaced(layered, contacts, (layered.rounds, &rest), carried);
         (layered.rest, self.scratch.grips) = (rest, grips);
     }
