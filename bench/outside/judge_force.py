@@ -18,12 +18,14 @@ import numpy.typing as npt
 
 import gelstereo
 
-from .contacts import table
+from .contacts import HALF_MM, table
 from .fields import DATA, Field
 
 Array = npt.NDArray[np.float64]
 
 ROWS, PITCH_MM, SURFACE_MM = 25, 0.9, 30.0
+#: Gel beyond the markers of a centred lattice.
+RIM_MM = HALF_MM - PITCH_MM * (ROWS // 2)
 #: Places of the lattice beside the part's first touch.
 OFFSETS_MM = ((0.0, 0.0), (0.2, -0.13), (0.45, 0.3))
 SIGMA_MM = np.array([0.0015, 0.0015, 0.005])
@@ -73,8 +75,11 @@ def true_force(contact: Field, stage: int) -> Array:
     return np.array([float((area * part).sum()) for part in parts])
 
 
-def cases(half: str | None = None) -> Iterator[Case]:
-    """All contacts of a half with at least one marker in contact, at each place of the lattice."""
+def cases(half: str | None = None, *, rim_mm: float | None = None) -> Iterator[Case]:
+    """All contacts of a half with at least one marker in contact, at each place of the lattice.
+
+    With `rim_mm`, the gel of the estimate has free sides.
+    """
     rng = np.random.default_rng(20211)
     gels = table()["gels"]
     for path in sorted(DATA.glob("*.npz")):
@@ -84,13 +89,18 @@ def cases(half: str | None = None) -> Iterator[Case]:
         gel = gels[contact.meta["gel"]]
         for stage, (depth_mm, *_) in enumerate(contact.stages):
             for offset in OFFSETS_MM:
-                case = _case(contact, stage, gel, offset, rng)
+                case = _case(contact, stage, gel, offset, rng, rim_mm)
                 if case is not None:
                     yield Case(contact.meta["gel"], depth_mm / gel["thickness_mm"], *case)
 
 
 def _case(
-    contact: Field, stage: int, gel: dict[str, float], offset: tuple[float, float], rng: np.random.Generator
+    contact: Field,
+    stage: int,
+    gel: dict[str, float],
+    offset: tuple[float, float],
+    rng: np.random.Generator,
+    rim_mm: float | None,
 ) -> tuple[int, Array, Array, Array, float] | None:
     along = PITCH_MM * (np.arange(ROWS) - ROWS // 2)
     x, y = (axis.ravel() for axis in np.meshgrid(along + offset[0], along + offset[1]))
@@ -108,6 +118,7 @@ def _case(
             "thickness_mm": gel["thickness_mm"],
             "young_kpa": young_kpa,
             "poisson_ratio": gel["poisson_ratio"],
+            **({} if rim_mm is None else {"rim_mm": rim_mm}),
         }
     )
     estimator = gelstereo.ForceEstimator(
@@ -146,9 +157,10 @@ def main() -> None:
     """Print a table: groups of contacts, errors of the force, and of its covariance."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--half", choices=("w", "j"))
+    parser.add_argument("--free-sides", action="store_true", help="with the gels' sides in the estimate")
     arguments = parser.parse_args()
     groups: dict[str, list[Case]] = defaultdict(list)
-    for case in cases(arguments.half):
+    for case in cases(arguments.half, rim_mm=RIM_MM if arguments.free_sides else None):
         deep = "an eighth" if case.strain <= 0.125 else "a fifth" if case.strain <= 0.2 else "a third"
         name = f"pressed to {deep} of the thickness" if case.touching >= 4 else "one to three markers"
         groups[name].append(case)

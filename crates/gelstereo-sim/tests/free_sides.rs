@@ -2,7 +2,11 @@
 #![allow(clippy::unwrap_used)]
 
 use super::common::{press, simulator, truth, with_effects};
+use gelstereo_core::contact::RestSurface;
+use gelstereo_core::force::{ForceEstimator, MovedMarkers};
 use gelstereo_core::math::{DVec2, DVec3};
+use gelstereo_core::params::{ForceMethod, ForceParams};
+use gelstereo_core::track::MarkerState;
 use gelstereo_sim::effects::{Effects, ElasticLayer, LargeStrain};
 use gelstereo_sim::{ContactState, Gel, Scene, Shape, Truth};
 
@@ -106,4 +110,35 @@ fn a_rim_within_the_print_is_refused() {
     for rim_mm in [0.0, -1.0, 0.44, 101.0, f64::NAN] {
         assert!(check(rim_mm).contains("effects.elastic_layer.rim_mm"), "{}", check(rim_mm));
     }
+}
+
+/// The force of a simulated press, by the markers of a gel with these sides and of one without an end.
+#[test]
+fn the_force_is_that_of_the_gel_with_its_sides() {
+    let scene = scene(Some(0.9), 0.8);
+    let still = simulator_rest(&scene);
+    let (found, force_n) = pressed(&scene, DVec2::new(1.8, 0.9), [0.0; 2]);
+    let layer = scene.effects.elastic_layer.as_ref().unwrap();
+    let covariance_mm2 = vec![[[2e-6, 0.0, 0.0], [0.0, 2e-6, 0.0], [0.0, 0.0, 2e-5]]; still.len()];
+    let estimate = |rim_mm| {
+        let params = ForceParams {
+            method: ForceMethod::Ridge,
+            thickness_mm: Some(scene.gel.thickness_mm),
+            young_kpa: Some(layer.young_kpa),
+            poisson_ratio: layer.poisson_ratio,
+            rim_mm,
+            ..ForceParams::default()
+        };
+        let rest = RestSurface::new(&still).unwrap();
+        let mut estimator = ForceEstimator::new(&params, &rest, scene.gel.cols, &covariance_mm2).unwrap();
+        let state = vec![MarkerState::Seen; still.len()];
+        let (points_mm, patch) = (&found.points_mm, &found.in_contact);
+        let moved = MovedMarkers { points_mm, covariance_mm2: &covariance_mm2, state: &state, patch };
+        estimator.run(&moved, &mut Vec::new()).unwrap().unwrap().force_n.z / force_n
+    };
+    let (with, without) = (estimate(Some(0.9)), estimate(None));
+    assert!((with - 1.0).abs() < 0.02, "{with}");
+    assert!(without > 1.04, "{without}");
+    // Sides that are too far to matter.
+    assert_eq!(estimate(Some(500.0)), without);
 }

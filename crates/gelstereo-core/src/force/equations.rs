@@ -1,10 +1,17 @@
 //! Normal equations of the tractions.
 
 use super::cells::{Cell, Cells};
-use crate::layer::Influence;
+use crate::layer::{FreeSides, Influence};
 use crate::math::linalg::Symmetric;
 use crate::math::sqrt;
 use alloc::vec::Vec;
+
+/// Motion of a gel under unit tractions on the cells around its markers.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Gel<'a> {
+    pub influence: &'a Influence,
+    pub sides: Option<&'a FreeSides>,
+}
 
 /// Least squares K x = u, weighted by the covariances of the motions u. The unknowns x are, for each block,
 /// the pressure and the tractions along rows and columns, in units of Young's modulus.
@@ -45,14 +52,14 @@ impl Equations {
     /// Adds the motion of the marker in this row and column, mm, if its covariance is positive definite.
     pub fn add(
         &mut self,
-        influence: &Influence,
+        gel: Gel<'_>,
         cells: &Cells,
         place: (usize, usize),
         motion_mm: [f64; 3],
         covariance_mm2: &Symmetric<3>,
     ) {
         let Some(root) = whitening(covariance_mm2) else { return };
-        fill(&mut self.rows, self.size, influence, cells, place);
+        fill(&mut self.rows, self.size, gel, cells, place);
         let [into, along, across] = &mut self.rows;
         for ((a, b), c) in into.iter_mut().zip(along.iter_mut()).zip(across.iter_mut()) {
             [*a, *b, *c] = times(&root, [*a, *b, *c]);
@@ -75,7 +82,7 @@ impl Equations {
     /// which the influence has this derivative.
     pub fn differentiate(
         &mut self,
-        [influence, derivative]: [&Influence; 2],
+        (gel, derivative): (Gel<'_>, &Influence),
         cells: &Cells,
         place: (usize, usize),
         (motion_mm, covariance_mm2): ([f64; 3], &Symmetric<3>),
@@ -83,8 +90,8 @@ impl Equations {
         out: &mut [f64],
     ) {
         let Some(root) = whitening(covariance_mm2) else { return };
-        fill(&mut self.rows, self.size, influence, cells, place);
-        fill(&mut self.changes, self.size, derivative, cells, place);
+        fill(&mut self.rows, self.size, gel, cells, place);
+        fill(&mut self.changes, self.size, Gel { influence: derivative, ..gel }, cells, place);
         let product = |row: &Vec<f64>| row.iter().zip(x).map(|(entry, x)| entry * x).sum::<f64>();
         let predicted_mm = [0, 1, 2].map(|i| product(&self.rows[i]));
         let left = weighed(&root, core::array::from_fn(|i| motion_mm[i] - predicted_mm[i]));
@@ -117,30 +124,26 @@ impl Equations {
 }
 
 /// Influence of all unknowns on the marker in this row and column.
-fn fill(rows: &mut [Vec<f64>; 3], size: usize, influence: &Influence, cells: &Cells, place: (usize, usize)) {
+fn fill(rows: &mut [Vec<f64>; 3], size: usize, gel: Gel<'_>, cells: &Cells, place: (usize, usize)) {
     for row in rows.iter_mut() {
         row.clear();
         row.resize(size, 0.0);
     }
     for cell in &cells.cells {
-        add_cell(rows, influence, cell, place);
+        add_cell(rows, gel, cell, place);
     }
 }
 
-/// Adds the influence of one cell on the marker in this row and column.
-fn add_cell(rows: &mut [Vec<f64>; 3], influence: &Influence, cell: &Cell, (row, col): (usize, usize)) {
-    let (down, right) = (row.abs_diff(cell.row), col.abs_diff(cell.col));
-    let i = down * influence.side + right;
-    let sign = |is_before: bool| if is_before { -1.0 } else { 1.0 };
-    let (x, y) = (sign(col < cell.col), sign(row < cell.row));
-    let (aside_x, aside_y) = (x * influence.cross[0][i], y * influence.cross[1][i]);
-    let across = x * y * influence.across[i];
-    let effects = [
-        // The two cross terms are transposes (Betti), and odd: hence the sign.
-        [influence.normal[i], -aside_x, -aside_y],
-        [aside_x, influence.along[0][i], across],
-        [aside_y, across, influence.along[1][i]],
-    ];
+/// Adds the influence of one cell, and of its images, on the marker in this row and column.
+fn add_cell(rows: &mut [Vec<f64>; 3], gel: Gel<'_>, cell: &Cell, (row, col): (usize, usize)) {
+    let effect =
+        |at_col: isize, at_row: isize| gel.influence.effect(col as isize - at_col, row as isize - at_row);
+    let mut effects = effect(cell.col as isize, cell.row as isize);
+    for image in gel.sides.iter().flat_map(|sides| sides.images([cell.col, cell.row])) {
+        for (sum, of_image) in effects.iter_mut().zip(effect(image.col, image.row)) {
+            (0..3).for_each(|k| sum[k] += image.factors[k] * of_image[k]);
+        }
+    }
     for (list, effect) in rows.iter_mut().zip(effects) {
         list[3 * cell.block..][..3].iter_mut().zip(effect).for_each(|(sum, effect)| *sum += effect);
     }

@@ -2,7 +2,7 @@
 
 use super::cells::{Cell, Cells, MAX_BLOCKS};
 use super::cone::project;
-use super::equations::Equations;
+use super::equations::{Equations, Gel};
 use super::error::ForceError;
 use super::evidence::{Posterior, Variances};
 use super::gel_error::GelError;
@@ -10,7 +10,7 @@ use super::moved::MovedMarkers;
 use super::resultant::{Place, Stiffness, spread};
 use super::wrench::Wrench;
 use crate::contact::RestSurface;
-use crate::layer::{Influence, Layer, N_PER_KPA_MM2};
+use crate::layer::{FreeSides, Influence, Layer, N_PER_KPA_MM2};
 use crate::math::linalg::Symmetric;
 use crate::math::{DVec3, abs, sqrt};
 use crate::params::{ForceMethod, ForceParams, ParamsError};
@@ -24,6 +24,8 @@ const SQUARE: f64 = 0.05;
 /// 1.5, the rms error of the pressing force is 21, 9.2, 6.9 and 8.1 % on the contacts named below: near
 /// markers alone do not tell how much gel is displaced, and far ones feel the gel's border.
 const REACH: f64 = 1.0;
+/// Farthest sides, in pitches, which bounds the table of influences.
+const MAX_RIM: f64 = 64.0;
 // The layer is no exact model of a gel. The shares below were chosen on the development half of the FEM
 // contacts of bench/outside (294 cases, neo-Hookean gels of finite width). With them, the mean normalised
 // squared error of the force is 2.0 to 2.9 of 3 for groups of contacts by strain. With 0.35, 0.2 and 0.01 it
@@ -71,6 +73,7 @@ pub struct ForceEstimator {
     stiffness: Option<Stiffness>,
     young_kpa: f64,
     influence: Influence,
+    sides: Option<FreeSides>,
     thickness_mm: f64,
     rest: RestSurface,
     rest_covariance_mm2: Vec<Symmetric<3>>,
@@ -115,13 +118,21 @@ impl ForceEstimator {
         let (axes, pitch_mm) = square_lattice(rest.points_mm(), rest.normal(), cols)?;
         let markers = rest.points_mm().len();
         check_length(markers, rest_covariance_mm2.len())?;
-        let side = if stiffness.is_some() { 1 } else { cols.max(markers / cols) };
+        let counts = [cols, markers / cols];
+        let rim_mm = params.rim_mm.filter(|mm| *mm <= MAX_RIM * pitch_mm);
+        let sides = rim_mm.map(|mm| FreeSides::new(counts, [pitch_mm; 2], [mm; 2]));
+        let side = match (&stiffness, &sides) {
+            (Some(_), _) => 1,
+            (None, Some(sides)) => sides.reach(),
+            (None, None) => counts[0].max(counts[1]),
+        };
         let layer = Layer { thickness_mm, poisson_ratio: params.poisson_ratio };
         let mut made = Self {
             params: params.clone(),
             stiffness,
             young_kpa,
             influence: Influence::new(&layer, [pitch_mm; 2], side),
+            sides,
             thickness_mm,
             rest: rest.clone(),
             rest_covariance_mm2: rest_covariance_mm2.to_vec(),
@@ -162,7 +173,8 @@ impl ForceEstimator {
     pub fn work(&self) -> u64 {
         let (size, cells) = (self.equations.size as f64, self.cells.cells.len() as f64);
         let markers = self.equations.count as f64 / 3.0;
-        let assemblies = (1 + 2 * self.gel_errors.len()) as f64;
+        let images = if self.sides.is_some() { 5 } else { 1 };
+        let assemblies = (images * (1 + 2 * self.gel_errors.len())) as f64;
         let assembly = markers * (assemblies * PER_CELL * cells + PER_PAIR * size * size);
         let rounds = self.posterior.rounds.min(USUAL_ROUNDS) as f64 * PER_TRIPLE * size * size * size;
         if self.variances.is_some() { (1e-3 * (BASE + assembly + rounds)) as u64 } else { 0 }
@@ -275,7 +287,8 @@ impl ForceEstimator {
         for &n in self.cells.near.iter().filter(|&&n| moved.state[n] == MarkerState::Seen) {
             let (motion_mm, covariance_mm2) = self.motion(moved, n);
             let place = (n / self.cols, n % self.cols);
-            self.equations.add(&self.influence, &self.cells, place, motion_mm, &covariance_mm2);
+            let gel = Gel { influence: &self.influence, sides: self.sides.as_ref() };
+            self.equations.add(gel, &self.cells, place, motion_mm, &covariance_mm2);
         }
         self.equations.mirror();
     }
@@ -309,7 +322,7 @@ impl ForceEstimator {
                 }
                 let (motion_mm, covariance_mm2) = self.motion(moved, n);
                 self.equations.differentiate(
-                    [&self.influence, &error.derivative],
+                    (Gel { influence: &self.influence, sides: self.sides.as_ref() }, &error.derivative),
                     &self.cells,
                     (n / self.cols, n % self.cols),
                     (motion_mm, &covariance_mm2),

@@ -3,9 +3,11 @@
 //! [`Layer`] has the compliances by wave number, and [`Influence`] the motion of the surface around one
 //! rectangular cell under a traction. Tractions are in units of Young's modulus.
 
+mod free_sides;
 mod influence;
 mod kernel;
 
+pub use free_sides::{FreeSides, Image};
 pub use influence::Influence;
 pub use kernel::{Compliance, Layer};
 

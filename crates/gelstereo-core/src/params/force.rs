@@ -38,6 +38,11 @@ pub struct ForceParams {
     /// Set it to what `gelstereo setup` states, unless `young_kpa` was calibrated with this thickness: that
     /// modulus makes up for its error.
     pub thickness_sigma_mm: f64,
+    /// Gel beyond the outermost markers, up to its free sides, for `ridge` and `bounded`; rounded to half a
+    /// pitch. Sides farther than 64 pitches are none. Valid: 0.001 to 1000 mm. Default: none, the gel has no
+    /// end. Set it where the gel is narrow for its thickness.
+    #[cfg_attr(feature = "serde", serde(skip_serializing_if = "Option::is_none"))]
+    pub rim_mm: Option<f64>,
     /// Young's modulus of the gel. Forces are proportional to it. Valid: 0.001 to 1000000 kPa. Default:
     /// none. Set it for every method, to what a known weight tells.
     #[cfg_attr(feature = "serde", serde(skip_serializing_if = "Option::is_none"))]
@@ -83,6 +88,7 @@ impl Default for ForceParams {
             method: ForceMethod::None,
             thickness_mm: None,
             thickness_sigma_mm: 0.0,
+            rim_mm: None,
             young_kpa: None,
             young_sigma_kpa: 0.0,
             poisson_ratio: 0.48,
@@ -108,6 +114,7 @@ impl ForceParams {
         };
         number("force.thickness_mm", self.thickness_mm, 0.1..=1e3, "0.1 to 1000 mm")?;
         number("force.thickness_sigma_mm", Some(self.thickness_sigma_mm), 0.0..=1e3, "0 to 1000 mm")?;
+        number("force.rim_mm", self.rim_mm, 1e-3..=1e3, "0.001 to 1000 mm")?;
         number("force.young_kpa", self.young_kpa, 1e-3..=1e6, "0.001 to 1000000 kPa")?;
         number("force.young_sigma_kpa", Some(self.young_sigma_kpa), 0.0..=1e6, "0 to 1000000 kPa")?;
         number("force.poisson_ratio", Some(self.poisson_ratio), 0.0..=0.5, "0 to 0.5")?;
