@@ -1,13 +1,14 @@
 //! Free sides of a gel, by mirror images of its loads.
 //!
 //! A side carries no load. A load and its mirror image beyond the side, with the opposite sign, cancel the
-//! normal stress there by symmetry, as images do for point forces (Mindlin 1936); the shear stress on the side
-//! remains. Pressures and tractions along the side change sign, and tractions across it keep theirs.
+//! normal stress there by symmetry, as images do for point forces (Mindlin 1936); the shear stress on the
+//! side remains. Pressures and tractions along the side change sign, and tractions across it keep theirs.
 //!
-//! The shear stress that remains moves the gel beside it, too, and images that are larger by a fifth account for
-//! most of that. The table has what images leave of the change by free sides, for a gel whose half width is 2.7
-//! times its thickness (balls, solids) and 5.5 times (balls, solids), under the loads of the finite-element
-//! contacts of bench/outside, half `w`. The reference is a block of linear elements with these sides:
+//! The shear stress that remains moves the gel beside it, too, and images that are larger by a fifth account
+//! for most of that. The table has what images leave of the change by free sides, for a gel whose half width
+//! is 2.7 times its thickness (balls, solids) and 5.5 times (balls, solids), under the loads of the
+//! finite-element contacts of bench/outside, half `w`. The reference is a block of linear elements with
+//! these sides:
 //!
 //! | images times | 2.7, balls | 2.7, solids | 5.5, balls | 5.5, solids |
 //! |---|---|---|---|---|
