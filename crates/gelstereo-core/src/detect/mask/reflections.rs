@@ -94,8 +94,8 @@ impl Reflections {
         self.beside.get(row..row + self.cols).is_some_and(|blocks| blocks.contains(&true))
     }
 
-    /// Replaces the limits of a row where gel beside reflections is brighter than the background of its block;
-    /// pixels below them belong to markers. The least difference is `floor`, grey levels.
+    /// Replaces the limits of a row where gel beside reflections is brighter than its block's background.
+    /// Pixels below them belong to markers. The least difference is `floor`, grey levels.
     pub fn limit(&self, y: usize, width: usize, background: &[u16], floor: f64, below: &mut [u8]) {
         let row = y / BLOCK_PX * self.cols;
         for block in (row..row + self.cols).filter(|&block| self.beside[block]) {
@@ -175,7 +175,9 @@ mod tests {
     proptest! {
         #[test]
         fn the_closing_is_that_of_its_definition(
-            side in 1_usize..8, width in 8_usize..20, levels in proptest::collection::vec(any::<u8>(), 160..400),
+            side in 1_usize..8,
+            width in 8_usize..20,
+            levels in proptest::collection::vec(any::<u8>(), 160..400),
         ) {
             let levels = &levels[..levels.len() / width * width];
             let mut closed = levels.to_vec();
