@@ -45,8 +45,9 @@ DETECT_TERMS = (
     "WINDOWS_FINE_FIT",
 )
 FRAME_TERMS = ("FRAME", "RAYS", "DISC_BIAS", "PRESSURE", "ADAPTIVE")
-#: Three short measurements, of the smallest size, that tell a machine's time for a unit of work.
-REFERENCES = ("WHOLE_SOFT_HALF", "WHOLE_FIT", "WINDOWS_FIT")
+#: Three short measurements of 640x480 images, with the markers' number per side. They tell a machine's time
+#: for a unit of work and, since the last one has small markers, for a unit of the steps that these need.
+REFERENCES = (("WHOLE_FIT", 25), ("WINDOWS_FIT", 25), ("WHOLE_FIT", 71))
 #: Which parts a term has; what the data cannot tell apart is left to one term.
 _SHAPES: Mapping[str, tuple[bool, ...]] = {
     **{
@@ -114,6 +115,8 @@ class Cost:
     coefficients: Mapping[tuple[str, int], float]
     #: Predicted over counted instructions, for each sample.
     ratios: Sequence[float]
+    #: Those of the steps for small markers.
+    small_ratios: Sequence[float]
 
 
 def _variants() -> list[Variant]:
@@ -151,7 +154,7 @@ def measure_costs(source: Path, report: Report, quick: bool = False) -> list[Sam
     """Count the instructions of tracked frames of a press, for each variant on each size."""
     counter, program = InstructionCounter(source), Stopwatch.program(source)
     out = []
-    for size, lattice in _SIZES[:2] if quick else _SIZES:
+    for size, lattice in _SIZES[:3] if quick else _SIZES:
         scene = size.scene(lattice)
         frames = sphere_press(scene=scene)[::4]
         pitch_mm = scene.to_dict()["gel"]["pitch_mm"]
@@ -225,7 +228,9 @@ def fit_costs(samples: Sequence[Sample]) -> Cost:
     counted = np.array([sample.instructions for sample in samples]) / UNIT
     rows = np.array([sample.row(columns) for sample in samples])
     found, _ = nnls(rows / counted[:, None], np.ones(len(samples)))
-    return Cost(dict(zip(columns, found, strict=True)), list(rows @ found / counted))
+    is_small = np.array([part == len(PARTS) - 1 for _, part in columns])
+    small = rows[:, is_small] @ found[is_small]
+    return Cost(dict(zip(columns, found, strict=True)), list(rows @ found / counted), list(small / counted))
 
 
 def cost_table(samples: Sequence[Sample], cost: Cost) -> Table:
@@ -241,19 +246,25 @@ def cost_table(samples: Sequence[Sample], cost: Cost) -> Table:
 
 def time_table(samples: Sequence[Sample], cost: Cost) -> Table:
     """Measured times, and how far predictions from the three short measurements are off."""
-    predicted = [
-        1e-6 * ratio * sample.instructions for sample, ratio in zip(samples, cost.ratios, strict=True)
-    ]
+    counted = 1e-6 * np.array([sample.instructions for sample in samples])
+    small = counted * np.array(cost.small_ratios)
+    usual = counted * np.array(cost.ratios) - small
+    measured_ms = np.array([sample.median_ms for sample in samples])
     of_terms = {
         (sample.variant.terms[0], sample.size.name, sample.lattice): k for k, sample in enumerate(samples)
     }
-    size, lattice = _SIZES[0]
-    known = [of_terms[term, size.name, lattice] for term in REFERENCES]
-    ms_per_unit = float(np.median([samples[k].median_ms / predicted[k] for k in known]))
+
+    def index(term: str, lattice: int) -> int:
+        return of_terms[term, _SIZES[0][0].name, lattice]
+
+    known = [index(*reference) for reference in REFERENCES]
+    work = np.column_stack((usual, small))
+    ms_per_unit, _ = nnls(work[known] / measured_ms[known, None], np.ones(len(known)))
+    predicted_ms = work @ ms_per_unit
     head = ["method", *(f"{size.name}, {lattice}x{lattice}" for size, lattice in _SIZES)]
     cells: dict[str, dict[tuple[str, int], str]] = {}
     for k, sample in enumerate(samples):
-        off = predicted[k] * ms_per_unit / sample.median_ms - 1.0
+        off = predicted_ms[k] / sample.median_ms - 1.0
         text = f"{sample.median_ms:.2f} ({off:+.0%})"
         cells.setdefault(sample.variant.name, {})[sample.size.name, sample.lattice] = text
     rows = [[name, *(line.get((size.name, n), "-") for size, n in _SIZES)] for name, line in cells.items()]
