@@ -5,7 +5,8 @@ use crate::params::Threshold;
 use crate::spatial::rows::{MIN_SHARE, share_in_rows};
 
 /// Least and largest marker area, as shares of the usual area. Smaller are specks of paint or noise,
-/// larger are edges of other objects.
+/// larger are edges of other objects. A least share of 0.36 finds 98 instead of 95 % of drawn dots whose
+/// radii differ by 20 %, but in little light beside a tray it takes two pieces of one marker for markers.
 pub(in crate::detect) const SHARES_OF_AREA: (f64, f64) = (0.4, 2.0);
 
 /// Largest number of components examined per population. It bounds the work.
