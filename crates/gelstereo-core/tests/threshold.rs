@@ -209,7 +209,7 @@ proptest! {
         let mut blocks = Blocks::default();
         blocks.start(width, height);
         image.chunks(BLOCK_PX * width).for_each(|rows| blocks.push(rows));
-        blocks.finish(radius as usize);
+        blocks.finish(radius as usize, &mut BoxSums::default());
         let pixels = |bx: usize, by: usize| -> Vec<u8> {
             (by * BLOCK_PX..((by + 1) * BLOCK_PX).min(height))
                 .flat_map(|y| {
@@ -255,7 +255,7 @@ proptest! {
         detector.mask(&mut mask);
         blocks.start(width, image.len() / width);
         smooth.chunks(BLOCK_PX * width).for_each(|rows| blocks.push(rows));
-        blocks.finish(1);
+        blocks.finish(1, &mut BoxSums::default());
         for (n, &level) in smooth.iter().enumerate() {
             let background = blocks.background()[n / width / BLOCK_PX * blocks.cols() + n % width / BLOCK_PX];
             let differs = i32::from(background) - (i32::from(level) << 7) >= i32::from(threshold_levels) << 7;

@@ -88,7 +88,7 @@ impl Difference {
                 }
                 self.blocks.push(rows);
             }
-            self.blocks.finish(self.radius);
+            self.blocks.finish(self.radius, self.thresholds.scratch());
         }
         match self.threshold {
             Threshold::Fixed => self.thresholds.set_all(self.threshold_levels, width, height),
@@ -105,7 +105,7 @@ impl Difference {
                 background.checked_sub(min).map_or(0, |limit| (limit >> FRACTION_BITS) as u8 + 1)
             }));
             if self.sees_reflections() {
-                self.reflections.look(&self.smoothed, width, &self.blocks);
+                self.reflections.look((width, height), &self.blocks);
             }
         }
     }
@@ -134,9 +134,11 @@ impl Difference {
                     spread(limits, width, below);
                 }
                 if beside_reflections {
+                    if y.is_multiple_of(BLOCK_PX) {
+                        self.reflections.close_around(y, &self.smoothed, width, levels.len());
+                    }
                     let floor_levels = self.thresholds.floor_levels();
-                    let background = &self.blocks.background()[y / BLOCK_PX * levels.len()..][..levels.len()];
-                    self.reflections.limit(y, width, background, floor_levels, below);
+                    self.reflections.limit(y, width, &self.blocks, floor_levels, below);
                 }
                 darker(&self.smoothed[y * width..][..width], below, mask);
             }

@@ -21,7 +21,6 @@ pub struct Blocks {
     /// Background (mean of gel and markers) around each block, with [`FRACTION_BITS`].
     background: Vec<u16>,
     columns: Columns,
-    boxes: BoxSums,
 }
 
 /// Sums and minima of each pixel column within a row of blocks.
@@ -69,10 +68,10 @@ impl Blocks {
     }
 
     /// Ends the image and computes the background: the mean of the blocks within `radius` blocks,
-    /// mirrored at the borders.
-    pub fn finish(&mut self, radius: usize) {
+    /// mirrored at the borders. `boxes` is scratch.
+    pub fn finish(&mut self, radius: usize, boxes: &mut BoxSums) {
         let area = (2 * radius as u64 + 1).pow(2);
-        let sums = self.boxes.run(&self.mean, u64::from, self.cols, radius);
+        let sums = boxes.run(&self.mean, u64::from, self.cols, radius);
         self.background.clear();
         self.background.extend(sums.iter().map(|sum| ((sum + area / 2) / area) as u16));
     }

@@ -8,79 +8,74 @@ use super::blocks::{BLOCK_PX, Blocks};
 use super::blur::FRACTION_BITS;
 use super::walls::BRIGHTEST_GEL;
 use alloc::vec::Vec;
+use core::ops::Range;
 
 /// Side of the closing's square as a share of the background's kernel: wider than a marker and narrower
 /// than a reflection. The kernel spans about three pitches.
 const SQUARE: usize = 3;
 
+/// Rows of blocks around one, itself included.
+const AROUND: usize = 3;
+
 /// Threshold as a share of the deepest contrast in the blocks around.
 const SHARE: f64 = 0.45;
 
-/// Levels below which pixels beside a reflection belong to a marker.
+/// Levels below which pixels beside a reflection belong to a marker, for a row of blocks at a time.
 #[derive(Clone, Debug)]
 pub(super) struct Reflections {
     side_px: usize,
-    /// Whether a reflection is in this block or beside it.
-    beside: Vec<bool>,
-    /// Closing of the image, in the rows around the reflections.
+    /// Rows of pixels whose blocks are in a reflection or beside one.
+    rows: Range<usize>,
+    /// Closing of the image in the rows of this row of blocks and of those beside it, from row `first` on.
     closed: Vec<u8>,
-    /// First row of these.
     first: usize,
-    /// Deepest contrast of each block beside a reflection.
+    /// Deepest contrast of these blocks, from row `first_block` of blocks on.
     depths: Vec<u8>,
-    cols: usize,
+    first_block: usize,
 }
 
 impl Reflections {
     /// For a background's kernel of this side.
     pub const fn new(kernel_px: usize) -> Self {
-        Self {
-            side_px: (kernel_px / SQUARE) | 1,
-            beside: Vec::new(),
-            closed: Vec::new(),
-            first: 0,
-            depths: Vec::new(),
-            cols: 0,
-        }
+        let side_px = (kernel_px / SQUARE) | 1;
+        Self { side_px, rows: 0..0, closed: Vec::new(), first: 0, depths: Vec::new(), first_block: 0 }
     }
 
-    /// Finds the reflections in an image that was smoothed to these levels. Does not allocate if an earlier
-    /// image was as large.
-    pub fn look(&mut self, smoothed: &[u8], width: usize, blocks: &Blocks) {
-        let means = blocks.means();
-        self.cols = blocks.cols();
-        self.beside.clear();
-        self.beside.resize(means.len(), false);
-        self.depths.clear();
-        self.depths.resize(means.len(), 0);
+    /// Finds the reflections in the blocks of an image. Does not allocate if an earlier image was as wide.
+    pub fn look(&mut self, (width, height): (usize, usize), blocks: &Blocks) {
+        let (means, cols) = (blocks.means(), blocks.cols());
         self.closed.clear();
-        self.closed.reserve(smoothed.len());
-        let is_bright = |block: &usize| means[*block] >= BRIGHTEST_GEL << FRACTION_BITS;
-        for block in (0..means.len()).filter(is_bright) {
-            neighbours(block, self.cols, means.len()).for_each(|other| self.beside[other] = true);
-        }
-        let is_beside = |&is: &bool| is;
-        let (Some(top), Some(bottom)) =
-            (self.beside.iter().position(is_beside), self.beside.iter().rposition(is_beside))
-        else {
-            return;
-        };
-        // Squares that contain a pixel of these blocks.
-        let height = smoothed.len() / width;
-        self.first = (top / self.cols * BLOCK_PX).saturating_sub(self.side_px);
-        let end = ((bottom / self.cols + 1) * BLOCK_PX + self.side_px).min(height);
-        let levels = &smoothed[self.first * width..end * width];
-        self.closed.extend_from_slice(levels);
-        close(&mut self.closed, width, self.side_px);
-        self.find_depths(levels, width);
+        self.closed.reserve((AROUND * BLOCK_PX + 2 * self.side_px) * width);
+        self.depths.clear();
+        self.depths.reserve(AROUND * cols);
+        let (top, bottom) = (means.iter().position(is_bright), means.iter().rposition(is_bright));
+        self.rows = top.zip(bottom).map_or(0..0, |(top, bottom)| {
+            (top / cols).saturating_sub(1) * BLOCK_PX..((bottom / cols + 2) * BLOCK_PX).min(height)
+        });
     }
 
-    /// Deepest contrasts of the blocks in the rows of the closing, whose levels are these.
-    fn find_depths(&mut self, levels: &[u8], width: usize) {
-        let rows = self.closed.chunks_exact(width).zip(levels.chunks_exact(width));
-        for (y, (closed, levels)) in (self.first..).zip(rows) {
-            let depths = &mut self.depths[y / BLOCK_PX * self.cols..][..self.cols];
-            let blocks = closed.chunks(BLOCK_PX).zip(levels.chunks(BLOCK_PX));
+    /// Whether blocks of a row of pixels may be in a reflection or beside one.
+    pub fn are_in_row(&self, y: usize) -> bool {
+        self.rows.contains(&y)
+    }
+
+    /// Closes the image, which was smoothed to these levels, around the row of blocks of a row of pixels.
+    pub fn close_around(&mut self, y: usize, smoothed: &[u8], width: usize, cols: usize) {
+        let (block, height) = (y / BLOCK_PX, smoothed.len() / width);
+        self.first_block = block.saturating_sub(1);
+        let rows = self.first_block * BLOCK_PX..((block + 2) * BLOCK_PX).min(height);
+        // Squares that contain a pixel of these rows.
+        self.first = rows.start.saturating_sub(self.side_px);
+        let end = (rows.end + self.side_px).min(height);
+        self.closed.clear();
+        self.closed.extend_from_slice(&smoothed[self.first * width..end * width]);
+        close(&mut self.closed, width, self.side_px);
+        self.depths.clear();
+        self.depths.resize(rows.len().div_ceil(BLOCK_PX) * cols, 0);
+        for y in rows {
+            let closed = &self.closed[(y - self.first) * width..][..width];
+            let depths = &mut self.depths[(y / BLOCK_PX - self.first_block) * cols..][..cols];
+            let blocks = closed.chunks(BLOCK_PX).zip(smoothed[y * width..][..width].chunks(BLOCK_PX));
             for (depth, (closed, levels)) in depths.iter_mut().zip(blocks) {
                 let pixels = closed.iter().zip(levels);
                 *depth = pixels.fold(*depth, |depth, (gel, level)| depth.max(gel.saturating_sub(*level)));
@@ -88,27 +83,32 @@ impl Reflections {
         }
     }
 
-    /// Whether a reflection is near a row of pixels.
-    pub fn are_in_row(&self, y: usize) -> bool {
-        let row = y / BLOCK_PX * self.cols;
-        self.beside.get(row..row + self.cols).is_some_and(|blocks| blocks.contains(&true))
-    }
-
-    /// Replaces the limits of a row where gel beside reflections is brighter than its block's background.
-    /// Pixels below them belong to markers. The least difference is `floor`, grey levels.
-    pub fn limit(&self, y: usize, width: usize, background: &[u16], floor: f64, below: &mut [u8]) {
-        let row = y / BLOCK_PX * self.cols;
-        for block in (row..row + self.cols).filter(|&block| self.beside[block]) {
-            let deepest = neighbours(block, self.cols, self.beside.len()).map(|one| self.depths[one]).max();
-            let min = (SHARE * f64::from(deepest.unwrap_or(0))).max(floor) as u8;
-            let columns = (block - row) * BLOCK_PX..((block - row + 1) * BLOCK_PX).min(width);
-            let gel = &self.closed[(y - self.first) * width..][columns.clone()];
-            let brighter = |gel: u8| u16::from(gel) << FRACTION_BITS > background[block - row];
-            for (below, &gel) in below[columns].iter_mut().zip(gel).filter(|&(_, &gel)| brighter(gel)) {
+    /// Replaces the limits of a row, around which the image was closed, where gel beside reflections is
+    /// brighter than its block's background. Pixels below them belong to markers. The least difference is
+    /// `floor`, grey levels.
+    pub fn limit(&self, y: usize, width: usize, blocks: &Blocks, floor: f64, below: &mut [u8]) {
+        let (means, cols) = (blocks.means(), blocks.cols());
+        let row = y / BLOCK_PX * cols;
+        for (column, &background) in blocks.background()[row..][..cols].iter().enumerate() {
+            let around = || neighbours(row + column, cols, means.len());
+            if !around().any(|block| is_bright(&means[block])) {
+                continue;
+            }
+            let depth = |block: usize| self.depths[block - self.first_block * cols];
+            let deepest = around().map(depth).fold(0, u8::max);
+            let min = (SHARE * f64::from(deepest)).max(floor) as u8;
+            let pixels = column * BLOCK_PX..((column + 1) * BLOCK_PX).min(width);
+            let gel = &self.closed[(y - self.first) * width..][pixels.clone()];
+            let is_brighter = |gel: u8| u16::from(gel) << FRACTION_BITS > background;
+            for (below, &gel) in below[pixels].iter_mut().zip(gel).filter(|&(_, &gel)| is_brighter(gel)) {
                 *below = gel.saturating_sub(min);
             }
         }
     }
+}
+
+fn is_bright(mean: &u16) -> bool {
+    *mean >= BRIGHTEST_GEL << FRACTION_BITS
 }
 
 /// A block and those around it.
@@ -152,6 +152,7 @@ fn along(levels: &mut [u8], step: usize, count: usize, extreme: impl Fn(u8, u8) 
 
 #[cfg(test)]
 mod tests {
+    use super::super::blocks::BoxSums;
     use super::*;
     use proptest::prelude::*;
 
@@ -196,17 +197,17 @@ mod tests {
         let mut blocks = Blocks::default();
         blocks.start(width, height);
         levels.chunks_exact(BLOCK_PX * width).for_each(|rows| blocks.push(rows));
-        blocks.finish(3);
+        blocks.finish(3, &mut BoxSums::default());
         let mut reflections = Reflections::new(51);
-        reflections.look(&levels, width, &blocks);
-        let marked = |y: usize| {
+        reflections.look((width, height), &blocks);
+        let mut marked = |y: usize| {
+            reflections.close_around(y, &levels, width, blocks.cols());
             let mut below = alloc::vec![0_u8; width];
-            let background = &blocks.background()[y / BLOCK_PX * blocks.cols()..][..blocks.cols()];
-            reflections.limit(y, width, background, 10.0, &mut below);
+            reflections.limit(y, width, &blocks, 10.0, &mut below);
             let row = levels[y * width..][..width].iter().zip(below);
             row.enumerate().filter(|(_, (level, below))| **level < *below).map(|(x, _)| x).collect::<Vec<_>>()
         };
-        assert!(reflections.are_in_row(46) && marked(46) == (44..50).collect::<Vec<_>>());
+        assert_eq!(marked(46), (44..50).collect::<Vec<_>>());
         assert!(marked(60).is_empty());
     }
 }

@@ -108,6 +108,11 @@ pub struct Thresholds {
 }
 
 impl Thresholds {
+    /// Sums that are free before an image's thresholds are derived.
+    pub(super) fn scratch(&mut self) -> &mut BoxSums {
+        &mut self.contrasts.square_sums
+    }
+
     /// Sets the same threshold for all blocks of an image.
     pub fn set_all(&mut self, levels: u8, width: usize, height: usize) {
         self.cols = width.div_ceil(BLOCK_PX);
