@@ -72,7 +72,7 @@ test-long: prerequisites $(BIN)/python lint
 	@# Many seeds and many configurations: worth a build of the host with optimisation.
 	cargo test --quiet --config 'profile.dev.package.gelstereo-host.opt-level=2' --workspace --test all -- --ignored --skip faults::
 	$(MAKE) long-builds
-	GELSTEREO_RUNS=8 $(BIN)/pytest -m "long and realtime"
+	GELSTEREO_RUNS=6 $(BIN)/pytest -m "long and realtime"
 	$(BIN)/pytest -n auto -m "long and not realtime"
 	$(MAKE) same-bits
 	$(MAKE) fuzz

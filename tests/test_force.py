@@ -104,7 +104,7 @@ def lattice() -> Array:
     return np.column_stack([x.ravel(), y.ravel(), np.full(ROWS**2, 30.0)])
 
 
-@settings(max_examples=8)
+@settings(max_examples=4)
 @given(
     seed=st.integers(0, 2**31),
     thickness_mm=st.floats(2.0, 4.0),

@@ -245,9 +245,9 @@ impl Observability {
             shift.iter_mut().zip(u).for_each(|(shift, u)| *shift -= along * u);
         }
         // (H⁻¹ + σ² w wᵀ)⁻¹ (Sherman and Morrison 1950).
-        let told = information.map(|row| dot(&row, &shift));
+        let weighted = information.map(|row| dot(&row, &shift));
         let variance = sigma_mm * sigma_mm;
-        add_outer(&mut information, &told, -variance / (1.0 + variance * dot(&shift, &told)));
+        add_outer(&mut information, &weighted, -variance / (1.0 + variance * dot(&shift, &weighted)));
         let Eigen { values, vectors } = linalg::eigen(&information);
         let mut with = *self;
         let determined = (0..6).filter(|&k| self.values[k] > 0.0);
