@@ -70,7 +70,7 @@ test-long: prerequisites $(BIN)/python lint
 	GELSTEREO_LONG_FRAMES=6000 cargo test --quiet --workspace --test long_run
 	GELSTEREO_SOAK_FRAMES=2000 cargo test --quiet -p gelstereo-core --test all -- row_35_a_localizer
 	@# Many seeds and many configurations: worth a build of the host with optimisation.
-	cargo test --quiet --config 'profile.dev.package.gelstereo-host.opt-level=2' --workspace --test all -- --ignored --skip faults::
+	GELSTEREO_SEEDS=6 cargo test --quiet --config 'profile.dev.package.gelstereo-host.opt-level=2' --workspace --test all -- --ignored --skip faults::
 	$(MAKE) long-builds
 	GELSTEREO_RUNS=6 $(BIN)/pytest -m "long and realtime"
 	$(BIN)/pytest -n auto -m "long and not realtime"
