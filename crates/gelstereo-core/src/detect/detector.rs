@@ -221,7 +221,7 @@ impl Detector {
     }
 
     fn doubt_under_glare(&mut self, image: GrayView<'_>, out: &mut Markers) {
-        let by_area = !self.rung.get().sees_glare();
+        let by_area = self.rung.get().area_shows_glare();
         self.glares.doubt(image, by_area, &mut self.areas_px2, out);
     }
 }

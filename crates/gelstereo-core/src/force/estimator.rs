@@ -24,8 +24,9 @@ const SQUARE: f64 = 0.05;
 /// 1.5, the rms error of the pressing force is 21, 9.2, 6.9 and 8.1 % on the contacts named below: near
 /// markers alone do not tell how much gel is displaced, and far ones feel the gel's border.
 const REACH: f64 = 1.0;
-/// Farthest sides, in pitches, which bounds the table of influences.
-const MAX_RIM: f64 = 64.0;
+/// Sides farther away are left out, since they move nothing: motion falls by half in a thickness. This bounds
+/// the table of influences.
+const MAX_RIM_PITCHES: f64 = 64.0;
 // The layer is no exact model of a gel. The shares below were chosen on the development half of the FEM
 // contacts of bench/outside (294 cases, neo-Hookean gels of finite width). With them, the mean normalised
 // squared error of the force is 2.0 to 2.9 of 3 for groups of contacts by strain. With 0.35, 0.2 and 0.01 it
@@ -119,7 +120,7 @@ impl ForceEstimator {
         let markers = rest.points_mm().len();
         check_length(markers, rest_covariance_mm2.len())?;
         let counts = [cols, markers / cols];
-        let rim_mm = params.rim_mm.filter(|mm| *mm <= MAX_RIM * pitch_mm);
+        let rim_mm = params.rim_mm.filter(|mm| *mm <= MAX_RIM_PITCHES * pitch_mm);
         let sides = rim_mm.map(|mm| FreeSides::new(counts, [pitch_mm; 2], [mm; 2]));
         let side = match (&stiffness, &sides) {
             (Some(_), _) => 1,

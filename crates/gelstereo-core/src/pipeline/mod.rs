@@ -6,6 +6,7 @@ mod common_rest;
 mod discs;
 mod epipolar;
 mod error;
+mod feel;
 mod frame;
 mod heights;
 mod label_rest;
@@ -29,14 +30,14 @@ pub use skin::{Skin, SkinDepth};
 
 use crate::contact::{self, ContactDetector, ContactRule, Decay, MarkerHeights, RestSurface, StereoMismatch};
 use crate::detect::DetectError;
-use crate::force::{ForceEstimator, MovedMarkers};
+use crate::force::ForceEstimator;
 use crate::image::GrayView;
 use crate::lattice::Topology;
 use crate::math::linalg::Symmetric;
 use crate::math::{DVec2, DVec3};
 use crate::params::{DiscBias, ForceMethod, Params, SlipMethod};
 use crate::rig::Rig;
-use crate::slip::{LoadedContact, Margin, SlipTracker};
+use crate::slip::SlipTracker;
 use crate::track::{MarkerState, Tracks};
 use crate::triangulate::{Centres, Triangulator};
 use alloc::vec::Vec;
@@ -430,31 +431,7 @@ impl Pipeline {
             rest.indentation_mm(&out.points_mm, &mut out.indentation_mm).map_err(PipelineError::Contact)?;
         }
         out.offset_sigma_mm = self.params.lattice.depth_sigma_mm;
-        out.wrench = None;
-        out.traction_kpa.clear();
-        if let Some(force) = &mut self.force {
-            let Frame { points_mm, covariance_mm2, state, patch, traction_kpa, .. } = out;
-            let moved = MovedMarkers { points_mm, covariance_mm2, state, patch };
-            out.wrench = force.run(&moved, traction_kpa).map_err(PipelineError::Force)?;
-        }
-        out.slip = None;
-        out.stick.clear();
-        if let Some(slip) = &mut self.slip {
-            let Frame { points_mm, covariance_mm2, state, patch, stick, traction_kpa, .. } = out;
-            let mut patch = &*patch;
-            if let Some(force) = &self.force {
-                force.touching(traction_kpa, patch, &mut self.touching).map_err(PipelineError::Force)?;
-                patch = &self.touching;
-            }
-            let moved = MovedMarkers { points_mm, covariance_mm2, state, patch };
-            out.slip = slip.run(&moved, stick).map_err(PipelineError::Slip)?;
-        }
-        let Frame { points_mm, traction_kpa, wrench, slip, .. } = out;
-        if let (Some(slip), Some(wrench), Some(friction)) = (slip, wrench, self.params.force.friction) {
-            let friction_sigma = self.params.force.friction_sigma;
-            let loads = LoadedContact { wrench, traction_kpa, points_mm, normal, friction, friction_sigma };
-            slip.margin = Margin::of_limit(&loads).or(slip.margin);
-        }
+        self.feel(normal, out)?;
         out.motion_px = contact::mean_motion_px(&self.reference_px, &out.left_px, &out.state);
         out.left = self.left.evidence;
         out.right = self.right.evidence;

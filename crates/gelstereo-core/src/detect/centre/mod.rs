@@ -59,9 +59,9 @@ pub(super) trait CentreRung {
     /// Variance of a coordinate, px², of a marker found by the window classifier with this band.
     fn window_variance_px2(&self, band: u8) -> f64;
 
-    /// Whether the covariances already account for light reflections.
-    fn sees_glare(&self) -> bool {
-        false
+    /// Whether a marker's area shows how much of it a light's reflection hides.
+    fn area_shows_glare(&self) -> bool {
+        true
     }
 
     /// Discards what was learned from earlier images.

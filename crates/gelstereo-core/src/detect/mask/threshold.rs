@@ -10,7 +10,7 @@ pub const MIN_LEVELS: u8 = 3;
 
 /// Threshold as a share of the contrast between a marker's darkest pixel and the background. The background
 /// is the mean of gel and markers, so this is somewhat more than half way from the gel to the marker.
-const SHARE: f64 = 0.45;
+pub(super) const SHARE: f64 = 0.45;
 
 /// Least contrast around a block, as a share of the whole image's.
 const MIN_SHARE_OF_IMAGE: f64 = 0.6;

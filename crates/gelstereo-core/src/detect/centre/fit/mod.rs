@@ -216,9 +216,9 @@ impl CentreRung for DiscFit {
         self.variance_px2
     }
 
-    /// The fit's residuals reveal reflections.
-    fn sees_glare(&self) -> bool {
-        true
+    /// A fitted marker is judged by its outline, and areas of others are in their variances already.
+    fn area_shows_glare(&self) -> bool {
+        false
     }
 
     fn forget(&mut self) {
