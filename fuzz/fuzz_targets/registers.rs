@@ -226,6 +226,7 @@ fn run(mut u: Unstructured<'_>) -> Result<()> {
         unpressed_mm: &unpressed_mm,
         press_direction: *u.choose(&[DVec3::NEG_Z, DVec3::Y, truth.transform_vector(DVec3::X)])?,
         decay_mm: *u.choose(&[2.5, 0.1, 20.0, 0.0, f64::NAN])?,
+        offset_sigma_mm: *u.choose(&[0.0, 0.03, 1e3, -1.0, f64::NAN])?,
     };
     let mut registrar = Registrar::new(&params);
     let first = registrar.register(&contact, template, &guess);
