@@ -68,7 +68,7 @@ test-long: prerequisites $(BIN)/python lint
 	cargo build --release --quiet -p gelstereo-host --bins --example world_server
 	GELSTEREO_KILLS=25 cargo test --quiet --workspace --test all -- faults::
 	GELSTEREO_LONG_FRAMES=6000 cargo test --quiet --workspace --test long_run
-	GELSTEREO_SOAK_FRAMES=2000 cargo test --quiet -p gelstereo-core --test all -- row_35_a_localizer
+	GELSTEREO_SOAK_FRAMES=2000 cargo test --quiet --workspace --test all -- row_35_a_localizer
 	@# Many seeds and many configurations: worth a build of the host with optimisation.
 	GELSTEREO_SEEDS=6 cargo test --quiet --config 'profile.dev.package.gelstereo-host.opt-level=2' --workspace --test all -- --ignored --skip faults::
 	$(MAKE) long-builds

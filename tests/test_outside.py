@@ -177,10 +177,11 @@ def test_solids_touch_the_gel_where_they_say_and_are_nowhere_in_it() -> None:
         for stage, (depth, right, down, twist) in enumerate(field.stages):
             part = Posed(touch.part, touch.middle_mm + np.array([right, down, -depth]), twist)
             moved = (places + arrays["motion"][stage]).reshape(-1, 3)
-            gap, share = part.distance(moved), arrays["share"][stage].ravel()
+            share = arrays["share"][stage].ravel()
             assert (share > 0.999).sum() >= 3
-            assert np.abs(gap[share > 0.999]).mean() < 0.005
-            assert gap.min() > -0.015
+            assert np.abs(part.distance(moved[share > 0.999])).mean() < 0.005
+            # Of the others, every fifth: distances to a part take most of this test's time.
+            assert part.distance(moved[::5]).min() > -0.015
             pressure = arrays["pressure"][stage]
             sideways = np.linalg.norm(arrays["traction"][stage], axis=-1)
             assert (sideways <= 1.001 * gel["friction"] * pressure + 1e-6).all()
@@ -250,10 +251,11 @@ def test_frames_state_what_folds_do_to_the_centres() -> None:
 @pytest.mark.long
 @pytest.mark.parametrize("half", ["w", "j"])
 def test_presets_name_markers_right_where_they_see_them(half: str) -> None:
+    """All sequences with `balanced`, the other presets with every other one."""
     sequences = [Sequence.load(name) for name in images.names(half)]
-    for preset in ("fast", "balanced", "exact"):
-        figures = judged(preset, sequences, Condition(), {})
-        assert figures.frames == sum(map(len, sequences))
+    for preset, shown in (("balanced", sequences), ("fast", sequences[::2]), ("exact", sequences[1::2])):
+        figures = judged(preset, shown, Condition(), {})
+        assert figures.frames == sum(map(len, shown))
         assert figures.wrong == 0
 
 

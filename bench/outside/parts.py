@@ -137,7 +137,10 @@ def at_touch(
     low, high = thickness_mm - 30.0, thickness_mm + 30.0
     for _ in range(40):
         height = 0.5 * (low + high)
-        if Posed(part, np.array([*middle_mm, height])).distance(on_gel).min() > 0:
+        distance = Posed(part, np.array([*middle_mm, height])).distance(on_gel)
+        # Points that are farther than the part can still move never touch.
+        on_gel = on_gel[distance <= high - low]
+        if distance.min() > 0:
             high = height
         else:
             low = height
