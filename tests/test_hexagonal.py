@@ -14,11 +14,10 @@ from drawn import SHOULDER_MM, SURFACE_MM, Press, Sensor
 
 import gelstereo as gs
 from gelstereo.calibrate.board_names import BoardKind
-from gelstereo.setup import Plan, gel
+from gelstereo.setup import Plan, compare_sensors, gel
 from gelstereo.setup.plan import Views
 from gelstereo.setup.prints import look
 from gelstereo.setup.sensor import Sensor as Sensors
-from gelstereo.setup.sensor import SensorFileError
 
 Array = npt.NDArray[np.float64]
 
@@ -136,7 +135,7 @@ def test_a_covered_marker_is_held_and_found_again() -> None:
 
 
 def test_setup_of_a_hexagonal_print(tmp_path: Path) -> None:
-    """The print and its lengths are found; the simulator has no such print to compare with."""
+    """The print, its lengths, and its digital twin."""
     sensor = HexagonalSensor()
 
     def views(kind: str, points: list[Array]) -> Views:
@@ -162,9 +161,40 @@ def test_setup_of_a_hexagonal_print(tmp_path: Path) -> None:
     # Markers of the drawn gel are on the ball, and beside it the gel returns to rest exponentially.
     assert abs(lengths["depth_mm"]) < 2 * lengths["depth_sigma_mm"]
     assert lengths["shoulder_mm"] == pytest.approx(SHOULDER_MM, rel=0.25)
+    assert any(figure.usual.startswith("simulated") for figure in found.figures)
     twin = Sensors(sensor.rig, params(), found.values["gel"])
-    with pytest.raises(SensorFileError, match="the print is hexagonal"):
-        twin.scene()
+    assert compare_sensors(twin, twin).is_interchangeable
+    at_rest = gs.Simulator(twin.scene()).press()
+    turned = sensor.rest_mm - sensor.rest_mm.mean(axis=0)
+    # The drawn print is turned in its plane by 0.05 rad.
+    off_mm = at_rest.points_mm - at_rest.points_mm.mean(axis=0) - turned
+    assert np.abs(off_mm).max() < 0.06 * np.abs(turned).max()
+
+
+@pytest.mark.parametrize("forward", [True, False])
+def test_a_simulated_print_keeps_its_names(forward: bool) -> None:
+    """Markers under a ball that drags the gel are those of the scene, row by row and column by column."""
+    scene = gs.Scene().replace(
+        {
+            "gel": {"layout": "hexagonal", "rows": 22, "cols": 19, "odd_rows_forward": forward},
+            "effects": {"defocus": {}, "sensor_noise": {}, "elastic_layer": {}},
+            "indenter": {"kind": "sphere", "radius_mm": 5.0},
+        }
+    )
+    simulator = gs.Simulator(scene)
+    pipeline = gs.Pipeline(scene.rig, params(**{"lattice.pitch_mm": 0.9}))
+    at_rest = simulator.press()
+    pipeline.process(at_rest.left, at_rest.right)
+    above = np.eye(4)
+    above[:3, 3] = [4.5, 0.3, 33.0]
+    for press_mm in (0.5, 1.0):
+        truth = simulator.press(simulator.pressed(above, press_mm), shear_mm=(0.3, 0.2))
+        found = pipeline.process(truth.left, truth.right)
+        assert (found.rows, found.cols) == (22, 19)
+        assert np.linalg.norm(found.left_px - truth.left_px, axis=1).max() < 0.3
+        assert np.abs(found.points_mm - truth.points_mm).max() < 0.06
+        hits = (found.salient & truth.in_contact).sum()
+        assert 2 * hits > 0.85 * (found.salient.sum() + truth.in_contact.sum())
 
 
 def test_layouts_are_not_mistaken() -> None:

@@ -13,6 +13,7 @@ mod effects_off;
 mod force;
 mod free_sides;
 mod gallery;
+mod hexagonal;
 mod history;
 mod label_slips;
 mod lattice;

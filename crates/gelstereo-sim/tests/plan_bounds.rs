@@ -6,7 +6,7 @@ use crate::every_effect;
 
 use gelstereo_core::camera::{Camera, Layer, Layers};
 use gelstereo_core::math::{DVec2, DVec3, Pose, so3};
-use gelstereo_core::params::Pitch;
+use gelstereo_core::params::{Pitch, PrintLayout};
 use gelstereo_core::rig::Rig;
 use gelstereo_sim::effects::{
     Defocus, Drag, ElasticLayer, Grain, Jpeg, Misprint, MotionBlur, SensorNoise, ShotNoise, Shoulder, Smears,
@@ -237,13 +237,28 @@ fn effects() -> impl Strategy<Value = Effects> {
 
 fn scenes() -> impl Strategy<Value = Scene> {
     let pitch = (0.6..1.4_f64, 1.0..1.4_f64, 1.0..1.4_f64);
-    let gel = (6..14_usize, 6..14_usize, pitch, 0.1..0.45_f64, 2.0..6.0_f64, -0.3..0.3_f64, prop::bool::ANY);
-    let gel = gel.prop_map(|(rows, cols, pitch, share, thickness_mm, rotation_rad, bright_dots)| {
-        let (pitch_mm, right, down) = pitch;
-        let dot_radius_mm = share * pitch_mm;
-        let pitch_mm = Pitch { x_mm: right * pitch_mm, y_mm: down * pitch_mm };
-        Gel { rows, cols, pitch_mm, dot_radius_mm, thickness_mm, rotation_rad, bright_dots, ..Gel::default() }
-    });
+    let gel =
+        (6..14_usize, 6..14_usize, pitch, 0.1..0.45_f64, 2.0..6.0_f64, -0.3..0.3_f64, any::<[bool; 2]>());
+    let gel = gel.prop_map(
+        |(rows, cols, pitch, share, thickness_mm, rotation_rad, [bright_dots, is_hexagonal])| {
+            let (pitch_mm, right, down) = pitch;
+            let down = if is_hexagonal { right } else { down };
+            let layout = if is_hexagonal { PrintLayout::Hexagonal } else { PrintLayout::Square };
+            let dot_radius_mm = share * pitch_mm;
+            let pitch_mm = Pitch { x_mm: right * pitch_mm, y_mm: down * pitch_mm };
+            Gel {
+                rows,
+                cols,
+                layout,
+                pitch_mm,
+                dot_radius_mm,
+                thickness_mm,
+                rotation_rad,
+                bright_dots,
+                ..Gel::default()
+            }
+        },
+    );
     let other = prop::option::of((shapes(), trajectories()));
     let relief = (90.0..300.0_f64, prop::bool::ANY).prop_map(|(radius_mm, hollow)| Relief::Dome {
         radius_mm: if hollow { -radius_mm } else { radius_mm },

@@ -3,7 +3,7 @@
 use super::part::check_shape;
 use super::range::{HOLE_MM, RATE_HZ, check, check_seed};
 use super::{ConfigError, PoseConfig};
-use gelstereo_core::params::{Params, Polarity};
+use gelstereo_core::params::{Params, Polarity, PrintLayout};
 use gelstereo_core::rig::Rig;
 use gelstereo_sim::effects::{Defocus, SensorNoise};
 use gelstereo_sim::{Effects, Gel, Scene, Shape};
@@ -128,6 +128,18 @@ impl SimulatedConfig {
                 found: format!("{expected} mm"),
                 other: format!("simulated.gel.pitch_mm is {printed} mm"),
                 advice: "make them agree to a tenth",
+            });
+        }
+        if params.lattice.layout != self.gel.layout {
+            let word = |layout| match layout {
+                PrintLayout::Square => "square",
+                PrintLayout::Hexagonal => "hexagonal",
+            };
+            return Err(ConfigError::Contradiction {
+                name: "params.lattice.layout",
+                found: format!("\"{}\"", word(params.lattice.layout)),
+                other: format!("simulated.gel.layout is \"{}\"", word(self.gel.layout)),
+                advice: "make them agree",
             });
         }
         let sides = [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -44,7 +45,8 @@ class Sample:
     rows, cols : int
         Lattice of the markers.
     pitch_mm : float or [float, float]
-        Of the drawn scene; two numbers of a rectangular print.
+        Of the drawn scene; two numbers of a rectangular print. Of a hexagonal one: the distance along a row,
+        and that of the rows.
     frame_rate_hz : float
         Of the drawn scene.
     """
@@ -96,10 +98,11 @@ def simulate_sample(
     if images:
         rest |= {"left": at_rest.left, "right": at_rest.right}
     gel = settings["gel"]
+    pitch_mm = gel["pitch_mm"]
+    if gel["layout"] == "hexagonal":
+        pitch_mm = [pitch_mm, math.sqrt(0.75) * pitch_mm]
     stacked = {name: np.stack([frame[name] for frame in frames]) for name in frames[0]}
-    return Sample(
-        index, seed, stacked, rest, gel["rows"], gel["cols"], gel["pitch_mm"], settings["frame_rate_hz"]
-    )
+    return Sample(index, seed, stacked, rest, gel["rows"], gel["cols"], pitch_mm, settings["frame_rate_hz"])
 
 
 def _values(frame: SimulatedFrame, at_rest: SimulatedFrame, images: bool) -> dict[str, Array]:

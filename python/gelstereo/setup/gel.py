@@ -75,11 +75,10 @@ def rest(plan: Plan, rig: Rig, settings: Mapping[str, Any]) -> Step:
             for left, right in progress(plan.rest.pairs, "sensing the gel at rest")
         ]
     found, last = _noise(frames), frames[-1]
-    gel = _gel(plan, found, last)
+    is_hexagonal = pipeline.params.to_dict()["lattice"]["layout"] == "hexagonal"
+    gel = _gel(plan, found, last, is_hexagonal)
     sensor = Sensor(rig, pipeline.params, gel)
-    # The simulator has no hexagonal prints.
-    is_square = pipeline.params.to_dict()["lattice"]["layout"] == "square"
-    simulated_mm = _simulated(sensor).measured_mm if is_square else float("nan")
+    simulated_mm = _simulated(sensor).measured_mm
     saturated = _saturated(read_color_image(plan.rest.left[0]), np.asarray(last.left_px))
     figures = [
         Figure("frames", f"{len(frames)}", f"{MIN_FRAMES} or more"),
@@ -193,7 +192,7 @@ def _noise(frames: list[Frame]) -> _Rest:
     )
 
 
-def _gel(plan: Plan, found: _Rest, frame: Frame) -> dict[str, Any]:
+def _gel(plan: Plan, found: _Rest, frame: Frame, is_hexagonal: bool) -> dict[str, Any]:
     seen = inspect(
         read_color_image(plan.rest.left[0]), preset=plan.preset, outline_px=outline_px(plan, "left")
     )
@@ -207,9 +206,20 @@ def _gel(plan: Plan, found: _Rest, frame: Frame) -> dict[str, Any]:
         "dot_radius_mm": round(float(radius_mm), 4),
         "surface_mm": round(float(middle[2]), 4),
         "centre_mm": [round(float(middle[0]), 4), round(float(middle[1]), 4)],
+        **(_odd_rows(frame) if is_hexagonal else {}),
         "noise_levels": round(float(seen.noise), 2),
         "point_sigma_mm": round(point, 6),
     }
+
+
+def _odd_rows(frame: Frame) -> dict[str, bool]:
+    """How the odd rows of a hexagonal print stand to the even ones."""
+    rows_mm = frame.points_mm.reshape(frame.rows, frame.cols, 3)
+    along_mm = np.mean(rows_mm[:, -1] - rows_mm[:, 0], axis=0)
+    starts = rows_mm.mean(axis=1) @ along_mm
+    # Beside the mean of the rows above and below, so that a slanted view does not count.
+    beside = starts[1:-1] - 0.5 * (starts[:-2] + starts[2:])
+    return {"odd_rows_forward": bool(np.sum(beside * (-1.0) ** np.arange(len(beside))) > 0.0)}
 
 
 def _simulated(sensor: Sensor) -> _Rest:

@@ -27,7 +27,8 @@ class Sensor:
         For `Pipeline`.
     gel
         Measured: ``rows``, ``cols``, ``pitch_mm``, ``dot_radius_mm``, ``surface_mm`` (distance of the markers
-        at rest), ``centre_mm``, ``noise_levels`` and ``point_sigma_mm``. If presses were given, the gel's own
+        at rest), ``centre_mm``, ``noise_levels`` and ``point_sigma_mm``; of a hexagonal print also
+        ``odd_rows_forward``, as in a scene's gel. If presses were given, the gel's own
         lengths follow, each with its standard deviation (``decay_mm`` and ``decay_sigma_mm``): ``decay_mm``,
         ``shoulder_mm``, ``depth_mm``, ``thickness_mm``, ``friction`` and ``pull_off_mm2``. ``learned`` names
         those that the presses tell; the others are assumed.
@@ -41,19 +42,12 @@ class Sensor:
         """The sensor as a scene of the simulator, at rest: its cameras, layers, print and noise.
 
         Add an indenter, a trajectory and effects by `Scene.replace`. The gel's law is the simulator's.
-
-        Raises
-        ------
-        SensorFileError
-            The print is hexagonal, which the simulator does not have.
         """
-        if self.params.to_dict()["lattice"]["layout"] != "square":
-            raise SensorFileError(
-                "the print is hexagonal, and the simulator has square and rectangular ones only"
-            )
         names = ["rows", "cols", "pitch_mm", "dot_radius_mm", "surface_mm", "centre_mm"]
         names += ["thickness_mm"] if "thickness_mm" in self.gel.get("learned", ()) else []
         gel = {name: self.gel[name] for name in names}
+        gel["layout"] = self.params.to_dict()["lattice"]["layout"]
+        gel["odd_rows_forward"] = self.gel.get("odd_rows_forward", True)
         effects = {"defocus": {}, "sensor_noise": {"sigma_levels": self.gel["noise_levels"]}}
         bright = self.params.to_dict()["detect"]["polarity"] == "bright"
         return Scene().replace(

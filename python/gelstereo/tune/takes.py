@@ -143,8 +143,8 @@ def _on_sensor(scene: Scene, sensor: Sensor) -> Scene:
         return [{**key, "position_mm": list(np.add(key["position_mm"], shift_mm))} for key in trajectory]
 
     others = [{**other, "trajectory": moved(other["trajectory"])} for other in old["others"]]
-    names = ("rows", "cols", "pitch_mm", "dot_radius_mm", "surface_mm", "centre_mm", "bright_dots")
-    gel = {name: new["gel"][name] for name in names}
+    printed = ("rows", "cols", "layout", "odd_rows_forward", "pitch_mm", "dot_radius_mm", "bright_dots")
+    gel = {name: new["gel"][name] for name in (*printed, "surface_mm", "centre_mm")}
     effects = {**old["effects"], "sensor_noise": new["effects"]["sensor_noise"]}
     return scene.replace(
         {

@@ -1,5 +1,6 @@
 //! The gel as an elastic layer.
 
+use crate::lattice::Lattice;
 use crate::layer::{Grid, Layer, Places};
 use crate::plan::{Bound, Effect, Facts};
 use crate::scene::{Gel, SceneError};
@@ -26,7 +27,8 @@ pub struct ElasticLayer {
     pub young_kpa: f64,
     /// Coulomb's coefficient between part and gel; 0 lets everything slip. Default: `0.8`.
     pub friction: f64,
-    /// Cells of the contact problem per marker pitch. Default: `2`.
+    /// Cells of the contact problem per marker pitch; in a hexagonal print per distance of rows, and along
+    /// rows rounded up to an even number. Default: `2`.
     pub cells_per_pitch: usize,
     /// Margin beyond the outermost markers within which the part may press, in pitches. Default: `2`.
     pub border_pitches: usize,
@@ -56,11 +58,15 @@ impl ElasticLayer {
 
     /// The layer, the cells, and the markers' places on them.
     pub(crate) fn cells(&self, gel: &Gel) -> (Layer, Grid, Places) {
-        let step = self.cells_per_pitch;
-        let places = Places { rows: gel.rows, cols: gel.cols, step, border: self.border_pitches * step };
+        let lattice = Lattice::new(gel);
+        let (cells, apart) = (self.cells_per_pitch, lattice.apart);
+        let step = [cells, cells.div_ceil(apart)];
+        let border = [step[0], apart * step[1]].map(|pitch| self.border_pitches * pitch);
+        let places = Places { rows: lattice.rows, cols: lattice.cols, step, border };
         let [rows, cols] = places.cells();
         let layer = Layer { thickness_mm: gel.thickness_mm, poisson_ratio: self.poisson_ratio };
-        (layer, Grid { rows, cols, cell_mm: gel.pitch_mm.axes_mm().map(|mm| mm / step as f64) }, places)
+        let [x_mm, y_mm] = lattice.pitch_mm;
+        (layer, Grid { rows, cols, cell_mm: [x_mm / step[1] as f64, y_mm / step[0] as f64] }, places)
     }
 }
 
@@ -84,7 +90,7 @@ impl Effect for ElasticLayer {
         let name = "effects.elastic_layer.border_pitches";
         check(border <= 64, name, border as f64, "0 to 64")?;
         if let Some(rim_mm) = self.rim_mm {
-            let [x_mm, y_mm] = gel.pitch_mm.axes_mm();
+            let [x_mm, y_mm] = gel.spacing_mm();
             let valid = (0.5 * x_mm.max(y_mm)..=Self::MAX_RIM * gel.thickness_mm).contains(&rim_mm);
             let name = "effects.elastic_layer.rim_mm";
             check(valid, name, rim_mm, "half of gel.pitch_mm to 20 times gel.thickness_mm")?;
@@ -111,8 +117,8 @@ impl Effect for ElasticLayer {
     fn cost_ns(&self, facts: &Facts<'_>) -> f64 {
         let per_pitch = (self.cells_per_pitch * self.cells_per_pitch) as f64;
         let cells = facts.markers() * per_pitch;
-        let pitch = facts.scene.gel.pitch_mm;
-        let pressed = (facts.touch.footprint_mm2 / (pitch.x_mm * pitch.y_mm) * per_pitch).min(cells);
+        let [x_mm, y_mm] = facts.scene.gel.spacing_mm();
+        let pressed = (facts.touch.footprint_mm2 / (x_mm * y_mm) * per_pitch).min(cells);
         let products = if self.friction > 0.0 { 120.0 } else { 12.0 };
         // Heights of cells; transforms over about twice the pressed cells; sums over cells and markers.
         let once = 30.0 * cells + 150.0 * products * (pressed + 64.0) + pressed * facts.markers() * 3.0;

@@ -6,12 +6,13 @@ use crate::scene::{Gel, SceneError};
 use alloc::vec::Vec;
 use gelstereo_core::digest::Digest;
 use gelstereo_core::math::{DVec2, DVec3, random::Stream};
+use gelstereo_core::params::PrintLayout;
 
 /// Round specks of dust between the dots, as dark as the dots. They are fixed to the gel and move with
 /// it.
 ///
-/// In a file: `[effects.specks] count = 8`. Each lies near the middle of a lattice cell, so it touches
-/// no dot of ordinary size.
+/// In a file: `[effects.specks] count = 8`. Each lies near the middle of a lattice cell, or of three markers
+/// of a hexagonal print, so it touches no dot of ordinary size.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(
     feature = "serde",
@@ -69,8 +70,9 @@ impl Speck {
         let mut stream = Stream::new(Digest::new().u64(seed).value(), "specks");
         let speck = |_| {
             let (row, col) = (stream.below(gel.rows - 1), stream.below(gel.cols - 1));
-            let mut within = || 0.5 + OFF_MIDDLE * (2.0 * stream.uniform() - 1.0);
-            let within = DVec2::new(within(), within());
+            let (off_middle, aside) = between_three(gel, row).unwrap_or((OFF_MIDDLE, DVec2::ZERO));
+            let mut within = || 0.5 + off_middle * (2.0 * stream.uniform() - 1.0);
+            let within = DVec2::new(within(), within()) + aside;
             let [min_mm, max_mm] = specks.radius_mm;
             let radius_mm = min_mm + (max_mm - min_mm) * stream.uniform();
             Self { corner: row * gel.cols + col, within, radius_mm }
@@ -84,11 +86,30 @@ impl Speck {
         let (s, t) = (self.within.x, self.within.y);
         let (top, bottom) = (at(0, 1) - at(0, 0), at(1, 1) - at(1, 0));
         let (left, right) = (at(1, 0) - at(0, 0), at(1, 1) - at(0, 1));
-        let [along, across] = gel.pitch_mm.axes_mm().map(|pitch_mm| self.radius_mm / pitch_mm);
+        let [along, across] = gel.spacing_mm().map(|mm| self.radius_mm / mm);
+        let (row_step, slanted) = (top.lerp(bottom, t), left.lerp(right, s));
+        let down = match lean(gel, self.corner / gel.cols) {
+            Some(lean) => slanted - row_step * lean,
+            None => slanted,
+        };
         Dot {
             centre: at(0, 0) + top * s + left * t + (bottom - top) * (s * t),
-            along: top.lerp(bottom, t) * along,
-            across: left.lerp(right, s) * across,
+            along: row_step * along,
+            across: down * across,
         }
     }
+}
+
+/// Pitches along a row to the same column of the next row, in a hexagonal print.
+fn lean(gel: &Gel, row: usize) -> Option<f64> {
+    let to_odd = if gel.odd_rows_forward { 0.5 } else { -0.5 };
+    (gel.layout == PrintLayout::Hexagonal).then_some(if row.is_multiple_of(2) { to_odd } else { -to_odd })
+}
+
+/// In a hexagonal print, a speck lies between three markers: half as far from their middle, and this much
+/// beside the middle of the cell, in pitches. Two of the markers are in the upper row; the third one is in
+/// the left column where rows lean to the right.
+fn between_three(gel: &Gel, row: usize) -> Option<(f64, DVec2)> {
+    let sixth = 1.0 / 6.0;
+    lean(gel, row).map(|lean| (0.5 * OFF_MIDDLE, DVec2::new(-2.0 * lean * sixth, -sixth)))
 }

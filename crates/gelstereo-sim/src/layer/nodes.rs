@@ -8,15 +8,15 @@ use super::LayerContact;
 use alloc::vec::Vec;
 use gelstereo_core::layer::Influence;
 
-/// Markers on a grid of cells; the first one stands on cell (`border`, `border`).
+/// Nodes of the lattice on a grid of cells.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Places {
     pub(crate) rows: usize,
     pub(crate) cols: usize,
-    /// Cells between neighbouring markers.
-    pub(crate) step: usize,
-    /// Cells beside the outermost markers, a multiple of `step`.
-    pub(crate) border: usize,
+    /// Cells between neighbouring nodes along a column and along a row.
+    pub(crate) step: [usize; 2],
+    /// Cells above and beside the first node, each a multiple of its `step`.
+    pub(crate) border: [usize; 2],
 }
 
 /// Influence of cells on markers.
@@ -45,29 +45,32 @@ pub(crate) struct Motion {
 impl Places {
     /// Cells along y and x.
     pub(crate) fn cells(&self) -> [usize; 2] {
-        [self.rows, self.cols].map(|markers| (markers - 1) * self.step + 1 + 2 * self.border)
+        let count = |nodes: usize, axis: usize| (nodes - 1) * self.step[axis] + 1 + 2 * self.border[axis];
+        [count(self.rows, 0), count(self.cols, 1)]
     }
 
-    /// The cell under a marker.
-    pub(crate) fn cell(&self, marker: usize) -> usize {
-        let (row, col) = (marker / self.cols, marker % self.cols);
-        (row * self.step + self.border) * self.cells()[1] + col * self.step + self.border
+    /// The cell under a node.
+    pub(crate) fn cell(&self, node: usize) -> usize {
+        let (row, col) = (node / self.cols, node % self.cols);
+        let [down, across] = [0, 1].map(|axis| [row, col][axis] * self.step[axis] + self.border[axis]);
+        down * self.cells()[1] + across
     }
 }
 
 impl Nodes {
     pub(crate) fn new(contact: &LayerContact, places: Places) -> Self {
         let [grid_rows, grid_cols] = places.cells();
-        let origin = (grid_cols - 1).div_ceil(places.step);
-        let width = origin + places.cols + places.border / places.step;
+        let [_, step] = places.step;
+        let origin = (grid_cols - 1).div_ceil(step);
+        let width = origin + places.cols + places.border[1] / step;
         let influence = contact.influence();
         let side = influence.side;
         let table = |field: &[f64], odd: bool| {
-            let mut list = Vec::with_capacity(grid_rows * places.step * width);
+            let mut list = Vec::with_capacity(grid_rows * step * width);
             for row in 0..grid_rows {
-                for phase in 0..places.step {
+                for phase in 0..step {
                     for t in 0..width {
-                        let col = ((t as isize - origin as isize) * places.step as isize) + phase as isize;
+                        let col = ((t as isize - origin as isize) * step as isize) + phase as isize;
                         let sign = if odd && col < 0 { -1.0 } else { 1.0 };
                         // No cell has a marker beyond the table.
                         let col = col.unsigned_abs();
@@ -123,9 +126,9 @@ impl Nodes {
     /// Start of the table slice for the influence of a cell on a row of markers, and the sign of kernels
     /// that are odd down.
     fn stretch(&self, cell: usize, row: usize) -> (usize, f64) {
-        let Places { step, border, .. } = self.places;
+        let Places { step: [row_step, step], border: [above, border], .. } = self.places;
         let (cell_row, cell_col) = (cell / self.grid_cols, cell % self.grid_cols);
-        let down = (row * step + border) as isize - cell_row as isize;
+        let down = (row * row_step + above) as isize - cell_row as isize;
         let back = cell_col.div_ceil(step);
         let phase = back * step - cell_col;
         let start = self.origin + border / step - back;
@@ -149,7 +152,9 @@ mod tests {
     /// The transforms over all cells are the reference.
     #[test]
     fn markers_move_as_the_cells_that_they_stand_on() {
-        for (step, border) in [(1, 0), (2, 4), (3, 3), (4, 0)] {
+        let steps =
+            [([1, 1], [0, 0]), ([2, 2], [4, 4]), ([3, 3], [3, 3]), ([4, 4], [0, 0]), ([3, 2], [3, 4])];
+        for (step, border) in steps {
             let places = Places { rows: 5, cols: 7, step, border };
             let [rows, cols] = places.cells();
             let layer = Layer { thickness_mm: 3.0, poisson_ratio: 0.45 };
@@ -168,7 +173,7 @@ mod tests {
                 let off = (found.into[marker] - into[cell]).abs()
                     + (found.aside[0][marker] - aside[0][cell]).abs()
                     + (found.aside[1][marker] - aside[1][cell]).abs();
-                assert!(off < 1e-11, "step {step}: marker {marker} is off by {off}");
+                assert!(off < 1e-11, "step {step:?}: marker {marker} is off by {off}");
             }
         }
     }

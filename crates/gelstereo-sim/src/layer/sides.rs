@@ -30,7 +30,9 @@ impl Sides {
     pub(crate) fn new(contact: &LayerContact, places: Places, rim_mm: f64) -> Self {
         let grid = contact.grid();
         let counts = [grid.cols, grid.rows];
-        let beyond_mm = grid.cell_mm.map(|cell_mm| rim_mm - places.border as f64 * cell_mm);
+        let [above, beside] = places.border;
+        let [x_mm, y_mm] = grid.cell_mm;
+        let beyond_mm = [rim_mm - beside as f64 * x_mm, rim_mm - above as f64 * y_mm];
         let sides = FreeSides::new(counts, grid.cell_mm, beyond_mm);
         // A cell belongs to the gel if its middle does.
         let [x, y] = sides.places();

@@ -5,6 +5,7 @@ use crate::scene::{Gel, Keyframe, Scene};
 use crate::shapes::{Shape, Solid};
 use gelstereo_core::camera::Camera;
 use gelstereo_core::math::{DVec2, DVec3, Pose, cos, sin, so3, sqrt};
+use gelstereo_core::params::PrintLayout;
 use gelstereo_core::rig::{Rig, View};
 
 /// Inputs of the bounds. The scene excludes the effects that are forced off.
@@ -132,7 +133,12 @@ impl<'a> Facts<'a> {
         let px = |share: f64| share * (lateral_px_per_mm * sideways_mm + depth_px_per_mm * depth_mm);
         // A dot's outline also stretches with its neighbours' motion. A point of it moves by the
         // centre's motion and sqrt(2) r times the motion's gradient, at most 2 / pitch of the motion.
-        let stretch = 2.0 * core::f64::consts::SQRT_2 * self.dot_radius_mm() / self.least_pitch_mm();
+        // In a hexagonal print it is 2 / pitch along rows, and at most 12^0.5 / pitch across them.
+        let gradient = match self.scene.gel.layout {
+            PrintLayout::Square => 2.0 * core::f64::consts::SQRT_2,
+            PrintLayout::Hexagonal => 4.0,
+        };
+        let stretch = gradient * self.dot_radius_mm() / self.least_pitch_mm();
         Bound {
             px: px(1.0) + 2.0 * self.ellipse_px(),
             um: 1e3 * sqrt(sideways_mm * sideways_mm + depth_mm * depth_mm),
@@ -182,7 +188,8 @@ impl<'a> Facts<'a> {
 impl Touch {
     fn of(scene: &Scene, parts: &[Solid<'_>]) -> Self {
         let gel = &scene.gel;
-        let sides = [gel.cols as f64 * gel.pitch_mm.x_mm, gel.rows as f64 * gel.pitch_mm.y_mm];
+        let [x_mm, y_mm] = gel.spacing_mm();
+        let sides = [gel.cols as f64 * x_mm, gel.rows as f64 * y_mm];
         let trajectories = scene.parts().map(|(_, trajectory)| trajectory);
         let relief_mm = relief_mm(scene);
         let all = parts

@@ -13,8 +13,8 @@ use crate::plan::{Asked, Switches};
 use crate::shapes::Shape;
 use alloc::vec::Vec;
 use gelstereo_core::camera::Camera;
-use gelstereo_core::math::{DQuat, DVec2, DVec3, Pose, so3};
-use gelstereo_core::params::Pitch;
+use gelstereo_core::math::{DQuat, DVec2, DVec3, Pose, so3, sqrt};
+use gelstereo_core::params::{Pitch, PrintLayout};
 use gelstereo_core::rig::Rig;
 
 /// Everything in a simulation, and the active effects. A file states only the differences from
@@ -110,6 +110,13 @@ pub struct Gel {
     /// Markers from left to right. Valid: 2 to 1000 markers. Default: `25`. Change it to the print that is
     /// simulated.
     pub cols: usize,
+    /// How the markers stand beside each other. Default: `square`. Change it, and `params.lattice.layout`
+    /// with it, to simulate a print whose markers have six neighbours.
+    pub layout: PrintLayout,
+    /// Whether the odd rows of a hexagonal print, counted from 0, are shifted along the row by half a pitch,
+    /// or back. Default: `true`. Change it where the first row of the print that is simulated starts farther
+    /// right than the second one.
+    pub odd_rows_forward: bool,
     /// Distance between neighbours, or `[x, y]` of a rectangular print: along a row, and along a column.
     /// Valid: 0.001 to 1000 mm. Default: `0.9` mm. Change it to the print that is simulated, and
     /// `params.lattice.pitch_mm` with it.
@@ -150,6 +157,8 @@ impl Default for Gel {
         Self {
             rows: 25,
             cols: 25,
+            layout: PrintLayout::Square,
+            odd_rows_forward: true,
             pitch_mm: Pitch::square(0.9),
             dot_radius_mm: 0.22,
             centre_mm: [4.0, 0.0],
@@ -308,7 +317,7 @@ impl Scene {
         let border =
             self.effects.elastic_layer.as_ref().map_or(0, |layer| layer.border_pitches.min(64)) as f64;
         let print_mm = self.effects.misprint.as_ref().map_or(0.0, |misprint| misprint.shift_mm);
-        let beside = DVec2::from_array(self.gel.pitch_mm.axes_mm()) * border + DVec2::splat(print_mm);
+        let beside = DVec2::from_array(self.gel.spacing_mm()) * border + DVec2::splat(print_mm);
         (self.gel.half_mm() + beside).length()
     }
 
@@ -385,15 +394,26 @@ impl Gel {
         crate::lattice::Lattice::new(self).marker_mm(DVec2::from_array(self.centre_mm), row, col)
     }
 
-    /// The smaller of the two pitches.
+    /// Distance of neighbours along a row, and of neighbouring rows.
+    pub(crate) fn spacing_mm(&self) -> [f64; 2] {
+        let [x_mm, y_mm] = self.pitch_mm.axes_mm();
+        match self.layout {
+            PrintLayout::Square => [x_mm, y_mm],
+            PrintLayout::Hexagonal => [x_mm, 0.5 * sqrt(3.0) * x_mm],
+        }
+    }
+
+    /// Distance of nearest neighbours.
     pub(crate) fn least_pitch_mm(&self) -> f64 {
         self.pitch_mm.x_mm.min(self.pitch_mm.y_mm)
     }
 
     /// Half the lattice's extent along a row and along a column.
     pub(crate) fn half_mm(&self) -> DVec2 {
-        let [x_mm, y_mm] = self.pitch_mm.axes_mm();
-        DVec2::new((self.cols - 1) as f64 * (0.5 * x_mm), (self.rows - 1) as f64 * (0.5 * y_mm))
+        let [x_mm, y_mm] = self.spacing_mm();
+        let shifted = if self.layout == PrintLayout::Hexagonal { 0.5 } else { 0.0 };
+        let beside = |count: usize| (count - 1) as f64;
+        DVec2::new((beside(self.cols) + shifted) * (0.5 * x_mm), beside(self.rows) * (0.5 * y_mm))
     }
 
     fn validate(&self) -> Result<(), SceneError> {
@@ -410,6 +430,10 @@ impl Gel {
         for (name, found, low, valid) in lengths {
             check(found >= low && found <= 1e3, name, found, valid)?;
         }
+        let [x_mm, y_mm] = self.pitch_mm.axes_mm();
+        let is_hexagonal = self.layout == PrintLayout::Hexagonal;
+        let name = "second gel.pitch_mm of gel.layout = \"hexagonal\"";
+        check(!is_hexagonal || x_mm == y_mm, name, y_mm, "one pitch, the distance of nearest markers")?;
         let (radius, surface) = (self.dot_radius_mm, self.surface_mm);
         check(
             2.0 * radius < self.least_pitch_mm(),

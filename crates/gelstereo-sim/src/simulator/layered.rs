@@ -313,23 +313,22 @@ impl Simulator {
         }
     }
 
-    /// Moves the markers with the surface at their printed places.
+    /// Moves the nodes with the surface, under markers at their printed places.
     pub(super) fn follow(&mut self, motion: &Motion) {
         let Self { scratch, lattice, print, .. } = self;
         let shift_mm = print.as_ref().and_then(|print| print.shift_mm());
-        let at = |field: &[f64], marker: usize| {
-            let beside = shift_mm.map_or(0.0, |shift_mm| {
+        let at = |field: &[f64], node: usize| {
+            let beside = shift_mm.zip(lattice.marker_on(node)).map_or(0.0, |(shift_mm, marker)| {
                 let shift = lattice.axes[0] * shift_mm[marker].x + lattice.axes[1] * shift_mm[marker].y;
-                lattice.gradient(field, marker).dot(shift)
+                lattice.gradient(field, node).dot(shift)
             });
-            field[marker] + beside
+            field[node] + beside
         };
-        for (marker, u) in scratch.motion.iter_mut().enumerate() {
-            *u = lattice.axes[0] * at(&motion.aside[0], marker)
-                + lattice.axes[1] * at(&motion.aside[1], marker);
+        for (node, u) in scratch.motion.iter_mut().enumerate() {
+            *u = lattice.axes[0] * at(&motion.aside[0], node) + lattice.axes[1] * at(&motion.aside[1], node);
         }
         scratch.heights.clear();
-        scratch.heights.extend((0..motion.into.len()).map(|marker| at(&motion.into, marker)));
+        scratch.heights.extend((0..motion.into.len()).map(|node| at(&motion.into, node)));
     }
 
     /// Markers in contact lie on the part at their displaced places, and no other marker lies inside a

@@ -31,7 +31,8 @@ pub struct Loads {
     pub about_mm: DVec3,
     /// What each part contributes, by its number.
     pub parts: Vec<PartLoads>,
-    /// Mean traction over the rectangle of a pitch around each marker, kilopascals along the sensor's axes.
+    /// Mean traction over the rectangle of a pitch, or of a pitch by a row's distance, around each marker,
+    /// kilopascals along the sensor's axes.
     pub traction_kpa: Vec<DVec3>,
     /// Whether the gel sticks to a part, at each marker's place; never unknown.
     pub stick: Vec<Stick>,
@@ -105,8 +106,10 @@ impl Simulator {
         let axes = self.lattice.axes.map(|axis| axis.extend(0.0));
         let grid = layered.contact.grid();
         let scale = layered.young_kpa * N_PER_KPA_MM2 * grid.cell_mm[0] * grid.cell_mm[1];
-        let sum: DVec3 = self.rest.iter().zip(&self.skin_mm).map(|(rest, &skin)| rest.extend(skin)).sum();
-        out.about_mm = sum / self.rest.len() as f64;
+        let Self { lattice, rest, skin_mm, .. } = self;
+        let places = lattice.of_markers(rest).zip(lattice.of_markers(skin_mm));
+        let sum: DVec3 = places.map(|(rest, skin)| rest.extend(skin)).sum();
+        out.about_mm = sum / lattice.markers() as f64;
         (out.force_n, out.torque_nmm) = (DVec3::ZERO, DVec3::ZERO);
         out.parts.clear();
         out.parts.resize(self.parts.len(), PartLoads::default());
@@ -122,30 +125,33 @@ impl Simulator {
         }
         out.traction_kpa.clear();
         out.stick.clear();
-        for marker in 0..self.rest.len() {
-            let cell = layered.places.cell(marker);
-            out.traction_kpa.push(mean_around(layered, cell, axes) * layered.young_kpa);
+        let [down, across] = layered.places.step;
+        let steps = [down, across * lattice.apart];
+        for marker in 0..lattice.markers() {
+            let cell = layered.places.cell(lattice.node(marker));
+            out.traction_kpa.push(mean_around(layered, cell, steps, axes) * layered.young_kpa);
             out.stick.push(layered.stick(cell));
         }
         true
     }
 }
 
-/// Mean traction over the rectangle of a marker's pitch around a cell; cells on its border count in part.
-fn mean_around(layered: &Layered, cell: usize, axes: [DVec3; 2]) -> DVec3 {
-    let (grid, step) = (layered.contact.grid(), layered.places.step);
-    let half = step / 2;
+/// Mean traction over a marker's rectangle of so many cells around a cell; cells on its border count in part.
+fn mean_around(layered: &Layered, cell: usize, steps: [usize; 2], axes: [DVec3; 2]) -> DVec3 {
+    let grid = layered.contact.grid();
     let (row, col) = ((cell / grid.cols) as isize, (cell % grid.cols) as isize);
     // With an even step, the rectangle's border runs through the middle of cells.
-    let weight = |d: isize| if step.is_multiple_of(2) && d.unsigned_abs() == half { 0.5 } else { 1.0 };
-    let range = || -(half as isize)..=half as isize;
+    let weight = |d: isize, step: usize| {
+        if step.is_multiple_of(2) && d.unsigned_abs() == step / 2 { 0.5 } else { 1.0 }
+    };
+    let [downs, rights] = steps.map(|step| -((step / 2) as isize)..=(step / 2) as isize);
     let mut sum = DVec3::ZERO;
-    for (down, right) in range().flat_map(|down| range().map(move |right| (down, right))) {
+    for (down, right) in downs.flat_map(|down| rights.clone().map(move |right| (down, right))) {
         let (row, col) = (row + down, col + right);
         if (0..grid.rows as isize).contains(&row) && (0..grid.cols as isize).contains(&col) {
             let other = row as usize * grid.cols + col as usize;
-            sum += layered.traction(other, axes) * (weight(down) * weight(right));
+            sum += layered.traction(other, axes) * (weight(down, steps[0]) * weight(right, steps[1]));
         }
     }
-    sum / (step * step) as f64
+    sum / (steps[0] * steps[1]) as f64
 }

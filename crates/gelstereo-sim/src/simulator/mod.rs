@@ -77,11 +77,11 @@ pub struct Simulator {
     gel: Gel,
     /// The lattice at the gel's current place.
     lattice: Lattice,
-    /// Depth of the skin at rest, at each marker.
+    /// Depth of the skin at rest, at each node.
     skin_mm: Vec<f64>,
     /// The lattice's current centre.
     centre_mm: DVec2,
-    /// Current marker places without contact.
+    /// Current places of the nodes without contact.
     rest: Vec<DVec2>,
     print: Option<Print>,
     worn: Option<Worn>,
@@ -102,11 +102,11 @@ pub struct Simulator {
     scratch: Scratch,
 }
 
-/// Fields over the lattice, kept between frames.
+/// Fields over the lattice's nodes, kept between frames.
 #[derive(Clone, Debug, Default)]
 struct Scratch {
     motion: Vec<DVec2>,
-    /// The parts over the markers.
+    /// The parts over the nodes.
     obstacle: Highest,
     /// Contact of each part at this moment, and of one in the course of it.
     contacts: Vec<Option<ContactState>>,
@@ -193,7 +193,7 @@ impl Simulator {
             ellipse_bias: scene.switches.ellipse_bias != Some(Switch::Off),
             exposure_s: effects.motion_blur.as_ref().map(|blur| blur.exposure_s),
             trajectory,
-            scratch: Scratch { obstacle: Highest::with_capacity(gel.rows * gel.cols), ..Scratch::default() },
+            scratch: Scratch { obstacle: Highest::with_capacity(lattice.nodes()), ..Scratch::default() },
             plan,
         };
         simulator.lay(centre_mm);
@@ -331,7 +331,7 @@ impl Simulator {
     /// # Errors
     /// [`SceneError::Invalid`] if there are more or fewer points than the gel has markers.
     pub fn look(&mut self, frame: u64, out: &mut Truth) -> Result<(), SceneError> {
-        let (found, markers) = (out.points_mm.len(), self.rest.len());
+        let (found, markers) = (out.points_mm.len(), self.lattice.markers());
         SceneError::check(found == markers, "number of points_mm", found as f64, "gel.rows * gel.cols")?;
         self.scratch.ends_mm.iter_mut().for_each(Vec::clear);
         self.write_views(self.time_s(frame), out);

@@ -17,26 +17,28 @@ impl Simulator {
         }
     }
 
-    /// Sets the depth of the skin at every printed marker: the relief moves with the lattice.
+    /// Sets the depth of the skin at every node, under a marker at its printed place: the relief moves with
+    /// the lattice.
     pub(super) fn curve(&mut self) {
         let Self { lattice, gel, print, .. } = self;
         let shift_mm = print.as_ref().and_then(|print| print.shift_mm());
-        let at = |marker: usize| {
-            let shift_mm = shift_mm.map_or(DVec2::ZERO, |shift_mm| shift_mm[marker]);
-            lattice.printed_mm(marker / lattice.cols, marker % lattice.cols) + shift_mm
+        let at = |node: usize| {
+            let shift_mm = shift_mm.zip(lattice.marker_on(node));
+            let shift_mm = shift_mm.map_or(DVec2::ZERO, |(shift_mm, marker)| shift_mm[marker]);
+            lattice.printed_mm(node / lattice.cols, node % lattice.cols) + shift_mm
         };
-        self.skin_mm = skin_mm(gel, (0..lattice.rows * lattice.cols).map(at));
+        self.skin_mm = skin_mm(gel, (0..lattice.nodes()).map(at));
     }
 
-    /// Sets the rest positions of all markers of a lattice centred at `centre_mm`.
+    /// Sets the rest positions of all nodes of a lattice centred at `centre_mm`.
     pub(super) fn lay(&mut self, centre_mm: DVec2) {
         self.centre_mm = centre_mm;
         let Self { lattice, rest, print, .. } = self;
         rest.clear();
         rest.extend(lattice.rest_mm(centre_mm));
         if let Some(shift_mm) = print.as_ref().and_then(|print| print.shift_mm()) {
-            for (place, shift) in rest.iter_mut().zip(shift_mm) {
-                *place += lattice.axes[0] * shift.x + lattice.axes[1] * shift.y;
+            for (marker, shift) in shift_mm.iter().enumerate() {
+                rest[lattice.node(marker)] += lattice.axes[0] * shift.x + lattice.axes[1] * shift.y;
             }
         }
     }

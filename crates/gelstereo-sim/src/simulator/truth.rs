@@ -6,6 +6,7 @@ use crate::render::{Dot, Ellipse};
 use crate::scene::SceneError;
 use alloc::vec::Vec;
 use gelstereo_core::math::{DVec2, DVec3, Pose};
+use gelstereo_core::params::PrintLayout;
 use gelstereo_core::rig::View;
 
 /// Ground truth of one moment; marker `row * cols + col` has that index, printed or not.
@@ -119,14 +120,15 @@ impl Simulator {
 
     /// Writes the camera-independent ground truth, except for the normals.
     pub(super) fn write_field(&self, out: &mut Truth) {
-        let Self { scratch, .. } = self;
+        let Self { scratch, lattice, .. } = self;
         out.indentation_mm.clear();
-        out.indentation_mm.extend_from_slice(&scratch.heights);
+        out.indentation_mm.extend(lattice.of_markers(&scratch.heights));
         out.in_contact.clear();
-        out.in_contact.extend_from_slice(&scratch.stuck);
+        out.in_contact.extend(lattice.of_markers(&scratch.stuck));
         out.touched_by.clear();
-        let touched_by = |(&touches, &part): (&bool, &u8)| touches.then_some(part);
-        out.touched_by.extend(scratch.stuck.iter().zip(&scratch.obstacle.part).map(touched_by));
+        let touched_by = |(touches, part): (bool, u8)| touches.then_some(part);
+        let parts = lattice.of_markers(&scratch.obstacle.part);
+        out.touched_by.extend(lattice.of_markers(&scratch.stuck).zip(parts).map(touched_by));
         out.contacts.clone_from(&scratch.contacts);
         let mut loads = out.loads.take().unwrap_or_default();
         out.loads = self.write_loads(&mut loads).then_some(loads);
@@ -135,10 +137,13 @@ impl Simulator {
 
     /// Marker positions from the scratch.
     pub(super) fn points(&self, out: &mut Vec<DVec3>) {
-        let Self { scratch, rest, skin_mm, .. } = self;
-        let moved = rest.iter().zip(&scratch.motion).zip(skin_mm.iter().zip(&scratch.heights));
+        let Self { scratch, rest, skin_mm, lattice, .. } = self;
+        let moved = |marker: usize| {
+            let node = lattice.node(marker);
+            (rest[node] + scratch.motion[node]).extend(skin_mm[node] - scratch.heights[node])
+        };
         out.clear();
-        out.extend(moved.map(|((&rest, &u), (skin_mm, height))| (rest + u).extend(skin_mm - height)));
+        out.extend((0..lattice.markers()).map(moved));
     }
 
     /// [`Self::moment`] of markers at given positions, row by row, for example of a recording.
@@ -148,7 +153,7 @@ impl Simulator {
     /// [`SceneError::Invalid`] if there are more or fewer points than the gel has markers, or one is
     /// beyond 10 m.
     pub fn placed(&mut self, points_mm: &[DVec3], frame: u64, out: &mut Truth) -> Result<(), SceneError> {
-        let (found, markers) = (points_mm.len(), self.rest.len());
+        let (found, markers) = (points_mm.len(), self.lattice.markers());
         SceneError::check(found == markers, "number of points_mm", found as f64, "gel.rows * gel.cols")?;
         for x in points_mm.iter().flat_map(|point| point.to_array()) {
             SceneError::check(x.abs() <= 1e4, "points_mm", x, "-10000 to 10000 mm")?;
@@ -156,8 +161,8 @@ impl Simulator {
         out.points_mm.clear();
         out.points_mm.extend_from_slice(points_mm);
         out.indentation_mm.clear();
-        let above = |(point, skin_mm): (&DVec3, &f64)| skin_mm - point.z;
-        out.indentation_mm.extend(points_mm.iter().zip(&self.skin_mm).map(above));
+        let above = |(point, skin_mm): (&DVec3, f64)| skin_mm - point.z;
+        out.indentation_mm.extend(points_mm.iter().zip(self.lattice.of_markers(&self.skin_mm)).map(above));
         out.in_contact.clear();
         out.in_contact.resize(markers, false);
         out.touched_by.clear();
@@ -214,24 +219,25 @@ impl Simulator {
     /// A marker's dot, stretched and tilted with the surface between the neighbouring markers.
     fn dot(&self, points_mm: &[DVec3], marker: usize, time_s: f64) -> Dot {
         let Self { lattice, print, worn, gel, .. } = self;
-        let neighbours = lattice.neighbours(marker);
-        let apart = neighbours.map(|(before, after, _)| points_mm[after] - points_mm[before]);
+        let pairs = lattice.marker_pairs(marker);
+        let apart = pairs.map(|(before, after, _)| points_mm[after] - points_mm[before]);
         let centre = points_mm[marker];
         let radius_mm = gel.dot_radius_mm * print.as_ref().map_or(1.0, |print| print.radius(marker));
         let radius_mm = radius_mm * worn.as_ref().map_or(1.0, |worn| worn.radius(marker, time_s));
-        let Some(shift_mm) = print.as_ref().and_then(|print| print.shift_mm()) else {
+        let shift_mm = print.as_ref().and_then(|print| print.shift_mm());
+        if shift_mm.is_none() && gel.layout == PrintLayout::Square {
+            let neighbours = lattice.neighbours(marker);
             let [along, across] = [0, 1].map(|axis| {
                 let stretch = apart[axis] / (neighbours[axis].2 * lattice.pitch_mm[axis]);
                 stretch * radius_mm
             });
             return Dot { centre, along, across };
-        };
-        // With misprints, neighbours are not exactly one or two pitches apart along the axes. The
-        // surface gradient G solves G [a b] = apart, where a and b are the printed differences.
-        let axes = [DVec2::X, DVec2::Y];
-        let [a, b] = [0, 1].map(|axis| {
-            let (before, after, pitches) = neighbours[axis];
-            axes[axis] * (pitches * lattice.pitch_mm[axis]) + shift_mm[after] - shift_mm[before]
+        }
+        // With misprints, and at the border of a hexagonal print, neighbours are not exactly one or two
+        // pitches apart along the axes. The surface gradient G solves G [a b] = apart, where a and b are the
+        // printed differences.
+        let [a, b] = pairs.map(|(before, after, printed_mm)| {
+            printed_mm + shift_mm.map_or(DVec2::ZERO, |shift_mm| shift_mm[after] - shift_mm[before])
         });
         let scale = radius_mm / a.perp_dot(b);
         Dot {
