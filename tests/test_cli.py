@@ -200,16 +200,16 @@ def test_commands_name_the_file_the_frame_and_the_pattern(
         assert f"no file matches '{pattern}'" in error_of(capsys, "calibrate", "--left", pattern, *board)
 
 
-@pytest.mark.parametrize("package", ["scipy", "matplotlib"])
+@pytest.mark.parametrize(("package", "extra"), [("scipy", "gelstereo[fem]"), ("matplotlib", "./bench")])
 def test_a_missing_extra_is_named(
-    package: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    package: str, extra: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for name in [name for name in sys.modules if name.startswith("gelstereo_bench.frontier")]:
         monkeypatch.delitem(sys.modules, name)
     for name in [package, *(name for name in sys.modules if name.startswith(f"{package}."))]:
         monkeypatch.setitem(sys.modules, name, None)
     said = error_of(capsys, "frontier", "--quick")
-    assert f"{package}, which is not installed: pip install './bench'" in said
+    assert f"{package}, which is not installed: pip install '{extra}'" in said
 
 
 def test_a_lone_image_is_named(folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

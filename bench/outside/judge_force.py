@@ -9,14 +9,18 @@ layer is linear and unbounded.
 from __future__ import annotations
 
 import argparse
+import time
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import block_diag
 
 import gelstereo
+from gelstereo.force import compute_compliance
 
 from .contacts import HALF_MM, table
 from .fields import DATA, Field
@@ -44,6 +48,7 @@ class Case:
     truth: Array
     covariance: Array
     misfit: float
+    seconds: float
 
     @property
     def pressing_error(self) -> float:
@@ -56,29 +61,57 @@ class Case:
         return float(np.hypot(*(self.estimate - self.truth)[:2]) / self.truth[2])
 
     @property
+    def torque_error(self) -> float:
+        """About the part's first touch, over the pressing force, mm."""
+        return float(np.linalg.norm((self.estimate - self.truth)[3:]) / self.truth[2])
+
+    @property
     def squared(self) -> float:
         """Normalised squared error of the force: 3 in the mean if the covariance is right."""
         error = (self.estimate - self.truth)[:3]
         return float(error @ np.linalg.solve(self.covariance[:3, :3], error))
 
 
-def true_force(contact: Field, stage: int) -> Array:
-    """Force along x, y and into the layer, over the shear modulus, mm²."""
+def true_wrench(contact: Field, stage: int) -> Array:
+    """Force along x, y and into the layer, and torque about the first touch; over the shear modulus, mm² and
+    mm³.
+    """
     arrays = contact.arrays
     if "r" in arrays:
         r = np.linspace(0.0, arrays["r"][-1], 20_001)
         pressure = np.interp(r, arrays["r"], arrays["pressure"][stage])
-        return np.array([0.0, 0.0, np.trapezoid(2.0 * np.pi * r * pressure, r)])
+        pressing = float(np.trapezoid(2.0 * np.pi * r * pressure, r))
+        return np.array([0.0, 0.0, pressing, 0.0, 0.0, 0.0])
     area = np.outer(np.gradient(arrays["y"]), np.gradient(arrays["x"]))
     traction = arrays["traction"][stage]
-    parts = (traction[..., 0], traction[..., 1], arrays["pressure"][stage])
-    return np.array([float((area * part).sum()) for part in parts])
+    forces = (
+        np.stack([traction[..., 0], traction[..., 1], arrays["pressure"][stage]], axis=-1) * area[..., None]
+    )
+    x, y = np.meshgrid(arrays["x"], arrays["y"])
+    # The layer's axes are left-handed: its z is into the layer. The torque is that of the sensor's axes.
+    sensor = forces * (1.0, 1.0, -1.0)
+    arms = np.stack([x, y, np.zeros_like(x)], axis=-1)
+    return np.concatenate([forces.sum(axis=(0, 1)), np.cross(arms, sensor).sum(axis=(0, 1))])
 
 
-def cases(half: str | None = None, *, rim_mm: float | None = None) -> Iterator[Case]:
+@cache
+def compliance(gel: str) -> gelstereo.Compliance:
+    """Of a square gel with a centred lattice."""
+    made = table()["gels"][gel]
+    return compute_compliance(
+        rows=ROWS,
+        cols=ROWS,
+        pitch_mm=PITCH_MM,
+        thickness_mm=made["thickness_mm"],
+        poisson_ratio=made["poisson_ratio"],
+        rim_mm=RIM_MM,
+    )
+
+
+def cases(half: str | None = None, *, rim_mm: float | None = None, matrix: bool = False) -> Iterator[Case]:
     """All contacts of a half with at least one marker in contact, at each place of the lattice.
 
-    With `rim_mm`, the gel of the estimate has free sides.
+    With `rim_mm`, the gel of the estimate has free sides; with `matrix`, it is computed by finite elements.
     """
     rng = np.random.default_rng(20211)
     gels = table()["gels"]
@@ -87,9 +120,10 @@ def cases(half: str | None = None, *, rim_mm: float | None = None) -> Iterator[C
         if "gel" not in contact.meta or half not in (None, contact.meta["half"]):
             continue
         gel = gels[contact.meta["gel"]]
+        found = compliance(contact.meta["gel"]) if matrix else None
         for stage, (depth_mm, *_) in enumerate(contact.stages):
             for offset in OFFSETS_MM:
-                case = _case(contact, stage, gel, offset, rng, rim_mm)
+                case = _case(contact, stage, gel, offset, rng, rim_mm, found)
                 if case is not None:
                     yield Case(contact.meta["gel"], depth_mm / gel["thickness_mm"], *case)
 
@@ -101,7 +135,8 @@ def _case(
     offset: tuple[float, float],
     rng: np.random.Generator,
     rim_mm: float | None,
-) -> tuple[int, Array, Array, Array, float] | None:
+    matrix: gelstereo.Compliance | None,
+) -> tuple[int, Array, Array, Array, float, float] | None:
     along = PITCH_MM * (np.arange(ROWS) - ROWS // 2)
     x, y = (axis.ravel() for axis in np.meshgrid(along + offset[0], along + offset[1]))
     places = np.column_stack([x, y])
@@ -122,33 +157,40 @@ def _case(
         }
     )
     estimator = gelstereo.ForceEstimator(
-        gelstereo.RestSurface(rest), params, cols=ROWS, covariance_mm2=1e-6 * covariance
+        gelstereo.RestSurface(rest), params, cols=ROWS, covariance_mm2=1e-6 * covariance, compliance=matrix
     )
-    _, wrench = estimator.run(moved, covariance, patch.tolist())
+    touching = patch.tolist()
+    begun = time.perf_counter()
+    _, wrench = estimator.run(moved, covariance, touching)
+    seconds = time.perf_counter() - begun
     if wrench is None:
         return None
+    wrench = wrench.about((0.0, 0.0, SURFACE_MM))
     # The camera sees the gel from below: into the layer is -z of the sensor.
     to = np.diag([1.0, 1.0, -1.0])
-    whole = np.kron(np.eye(2), to)
-    truth = true_force(contact, stage) * SHEAR_MODULUS_KPA * 1e-3
+    whole = block_diag(to, np.eye(3))
+    truth = true_wrench(contact, stage) * SHEAR_MODULUS_KPA * 1e-3
     return (
         int(patch.sum()),
-        to @ wrench.force_n,
+        np.concatenate([to @ wrench.force_n, wrench.torque_nmm]),
         truth,
         whole @ wrench.covariance @ whole.T,
         wrench.misfit,
+        seconds,
     )
 
 
 def _row(name: str, found: list[Case]) -> str:
     pressing = np.array([case.pressing_error for case in found])
     shear = np.array([case.shear_error for case in found])
+    torque = np.array([case.torque_error for case in found])
     squared = np.array([case.squared for case in found])
     rms = float(np.sqrt(np.mean(pressing**2)))
     # 7.815 is the 95 % point of chi squared with three degrees of freedom.
     return (
         f"| {name} | {len(found)} | {100 * pressing.mean():+.1f} | {100 * np.median(np.abs(pressing)):.1f} | "
-        f"{100 * rms:.1f} | {100 * np.sqrt(np.mean(shear**2)):.1f} | {squared.mean():.1f} | "
+        f"{100 * rms:.1f} | {100 * np.sqrt(np.mean(shear**2)):.1f} | {np.sqrt(np.mean(torque**2)):.3f} | "
+        f"{squared.mean():.1f} | "
         f"{100 * np.mean(squared < 7.815):.0f} |"
     )
 
@@ -158,20 +200,25 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--half", choices=("w", "j"))
     parser.add_argument("--free-sides", action="store_true", help="with the gels' sides in the estimate")
+    parser.add_argument("--compliance", action="store_true", help="with matrices by finite elements")
     arguments = parser.parse_args()
     groups: dict[str, list[Case]] = defaultdict(list)
-    for case in cases(arguments.half, rim_mm=RIM_MM if arguments.free_sides else None):
+    rim_mm = RIM_MM if arguments.free_sides else None
+    for case in cases(arguments.half, rim_mm=rim_mm, matrix=arguments.compliance):
         deep = "an eighth" if case.strain <= 0.125 else "a fifth" if case.strain <= 0.2 else "a third"
         name = f"pressed to {deep} of the thickness" if case.touching >= 4 else "one to three markers"
         groups[name].append(case)
         groups["all"].append(case)
     print(
         "| contacts | count | pressing force, mean error, % | median | rms "
-        "| shear, rms, % of the pressing force | normalised squared error (3) | within the 95 % region, % |"
+        "| shear, rms, % of the pressing force | torque, rms, mm times the pressing force "
+        "| normalised squared error (3) | within the 95 % region, % |"
     )
-    print("|---|---|---|---|---|---|---|---|")
+    print("|---|---|---|---|---|---|---|---|---|")
     for name in sorted(groups, key=lambda name: (name == "all", name)):
         print(_row(name, groups[name]))
+    times = 1e3 * np.array([case.seconds for case in groups["all"]])
+    print(f"\nA frame takes {np.median(times):.2f} ms, at most {times.max():.2f}.")
 
 
 if __name__ == "__main__":

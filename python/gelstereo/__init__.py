@@ -17,6 +17,7 @@ from gelstereo import cameras, geometry, grippers, templates
 from gelstereo._native import (
     CameraError,
     Closest,
+    Compliance,
     ContactError,
     DenseSurface,
     DetectError,
@@ -104,6 +105,7 @@ from gelstereo.states import (
 __all__ = [
     "CameraError",
     "Closest",
+    "Compliance",
     "ContactError",
     "DenseSurface",
     "DetectError",

@@ -21,6 +21,7 @@ __all__ = [
     "CameraFrame",
     "CameraInfo",
     "Closest",
+    "Compliance",
     "ContactError",
     "DenseSurface",
     "DetectError",
@@ -408,9 +409,45 @@ class Wrench:
     def about(self, point_mm: npt.ArrayLike) -> Wrench: ...
 
 @final
+class Compliance:
+    def __new__(
+        cls,
+        motion_mm: npt.ArrayLike,
+        *,
+        rows: int,
+        cols: int,
+        pitch_mm: float,
+        thickness_mm: float,
+        poisson_ratio: float,
+        rim_mm: npt.ArrayLike,
+    ) -> Compliance: ...
+    @property
+    def rows(self) -> int: ...
+    @property
+    def cols(self) -> int: ...
+    @property
+    def pitch_mm(self) -> float: ...
+    @property
+    def thickness_mm(self) -> float: ...
+    @property
+    def poisson_ratio(self) -> float: ...
+    @property
+    def rim_mm(self) -> tuple[float, float]: ...
+    def matrix(self) -> _Floats: ...
+    def save(self, path: str | Path) -> None: ...
+    @classmethod
+    def load(cls, path: str | Path) -> Compliance: ...
+
+@final
 class ForceEstimator:
     def __new__(
-        cls, rest: RestSurface, params: Params, *, cols: int, covariance_mm2: npt.ArrayLike
+        cls,
+        rest: RestSurface,
+        params: Params,
+        *,
+        cols: int,
+        covariance_mm2: npt.ArrayLike,
+        compliance: Compliance | None = None,
     ) -> ForceEstimator: ...
     def run(
         self, points_mm: npt.ArrayLike, covariance_mm2: npt.ArrayLike, patch: Sequence[bool]

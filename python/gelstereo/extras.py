@@ -23,7 +23,7 @@ REQUIREMENTS = {
     "pyarrow": "gelstereo[lerobot]",
     "zarr": "gelstereo[zarr]",
     "gelstereo_bench": "./bench",
-    "scipy": "./bench",
+    "scipy": "gelstereo[fem]",
     "matplotlib": "./bench",
     "rtree": "./bench",
     "mujoco": "./bench[physics]",

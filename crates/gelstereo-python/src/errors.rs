@@ -147,6 +147,12 @@ impl ToPython for core::force::ForceError {
     }
 }
 
+impl ToPython for core::force::ComplianceError {
+    fn to_python(&self) -> PyErr {
+        ContactError::new_err(self.to_string())
+    }
+}
+
 impl ToPython for core::slip::SlipError {
     fn to_python(&self) -> PyErr {
         match self {

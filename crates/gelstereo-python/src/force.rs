@@ -1,6 +1,7 @@
 //! Tractions and wrenches.
 
 use crate::arrays::{self, Array1, Count, Matrix, Numbers};
+use crate::compliance::Compliance;
 use crate::contact::RestSurface;
 use crate::errors::raise;
 use crate::moved::GivenMarkers;
@@ -109,13 +110,16 @@ impl Wrench {
 ///     Markers in a row.
 /// covariance_mm2 : (N, 3, 3) array_like
 ///     Covariances of the rest positions.
+/// compliance : Compliance, optional
+///     Of the same gel and lattice, in place of the layer.
 ///
 /// Raises
 /// ------
 /// ParamsError
 ///     If a setting is missing or not valid.
 /// ContactError
-///     If the markers are not a square lattice, or a list has another length.
+///     If the markers are not a square lattice, a list has another length, or the compliance is of another
+///     gel or lattice.
 #[pyclass(frozen, module = "gelstereo")]
 pub struct ForceEstimator {
     inner: Mutex<core::ForceEstimator>,
@@ -124,16 +128,23 @@ pub struct ForceEstimator {
 #[pymethods]
 impl ForceEstimator {
     #[new]
-    #[pyo3(signature = (rest, params, *, cols, covariance_mm2))]
+    #[pyo3(signature = (rest, params, *, cols, covariance_mm2, compliance=None))]
     fn new(
         rest: &RestSurface,
         params: &Params,
         cols: Count,
         covariance_mm2: &Bound<'_, PyAny>,
+        compliance: Option<&Compliance>,
     ) -> PyResult<Self> {
         let covariance_mm2 = Numbers::new(covariance_mm2, "covariance_mm2")?;
         let covariance_mm2 = covariance_mm2.matrices()?;
-        let made = core::ForceEstimator::new(&params.inner.force, rest.core(), cols.0, covariance_mm2);
+        let made = core::ForceEstimator::with_compliance(
+            &params.inner.force,
+            rest.core(),
+            cols.0,
+            covariance_mm2,
+            compliance.map(|compliance| compliance.core().clone()),
+        );
         Ok(Self { inner: Mutex::new(made.map_err(raise)?) })
     }
 

@@ -9,6 +9,7 @@ mod camera;
 mod camera_info;
 mod closest;
 mod codec;
+mod compliance;
 mod contact;
 mod detect;
 mod errors;
@@ -55,6 +56,8 @@ mod _native {
     use crate::closest::{Closest, Surface, Symmetry, turned_outward};
     #[pymodule_export]
     use crate::codec::{Blink1Command, TaraAssembly, TaraRequest, hid_udev_rule};
+    #[pymodule_export]
+    use crate::compliance::Compliance;
     #[pymodule_export]
     use crate::contact::{RestSurface, adaptive_saliency, pressure_saliency, skin_over};
     #[pymodule_export]

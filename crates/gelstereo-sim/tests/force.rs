@@ -3,7 +3,10 @@
 
 use super::common::{press, simulator, with_effects};
 use gelstereo_core::contact::RestSurface;
-use gelstereo_core::force::{ForceError, ForceEstimator, MovedMarkers, Wrench};
+use gelstereo_core::force::{
+    Compliance, ComplianceError, ComplianceGel, ForceError, ForceEstimator, MovedMarkers, Wrench,
+};
+use gelstereo_core::layer::{Influence, Layer};
 use gelstereo_core::math::linalg::Symmetric;
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::math::{DMat3, DVec2, DVec3, so3};
@@ -293,4 +296,62 @@ fn bad_input_is_refused() {
     let wide = RestSurface::new(&wide).unwrap();
     let found = ForceEstimator::new(&case.params, &wide, 25, &case.covariance_mm2);
     assert!(matches!(found, Err(ForceError::Pitch { .. })), "{found:?}");
+}
+
+/// The layer's influence as a matrix.
+fn matrix(case: &Case, pitch_mm: f64) -> Compliance {
+    let layer =
+        Layer { thickness_mm: case.params.thickness_mm.unwrap(), poisson_ratio: case.params.poisson_ratio };
+    let (rows, cols) = (case.rest_mm.len() / case.cols, case.cols);
+    let influence = Influence::new(&layer, [pitch_mm; 2], rows.max(cols));
+    let gel = ComplianceGel { rows, cols, pitch_mm, layer, rim_mm: [4.0; 2] };
+    let mut values = Vec::with_capacity(gel.entries());
+    for (row, col) in (0..rows.div_ceil(2)).flat_map(|row| (0..cols.div_ceil(2)).map(move |col| (row, col))) {
+        for (cell_row, cell_col) in (0..rows).flat_map(|row| (0..cols).map(move |col| (row, col))) {
+            let effect = influence.effect(col as isize - cell_col as isize, row as isize - cell_row as isize);
+            values.extend(effect.iter().flatten().map(|&mm| mm as f32));
+        }
+    }
+    Compliance::new(gel, values).unwrap()
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 2, ..ProptestConfig::default() })]
+
+    /// A matrix of the layer's influence gives the layer's wrench and tractions, to the precision of its
+    /// entries.
+    #[test]
+    fn a_matrix_of_the_layer_gives_the_same_wrench((scene, contact) in contacts(), seed in any::<u64>()) {
+        let case = Case::new(&scene, &contact, Some(seed));
+        let (expected_kpa, expected) = case.run();
+        let none = vec![diagonal([1e-6; 3]); case.rest_mm.len()];
+        let rest = RestSurface::new(&case.rest_mm).unwrap();
+        let made = matrix(&case, case.estimator().pitch_mm());
+        let estimator = |params: &ForceParams, made| {
+            ForceEstimator::with_compliance(params, &rest, case.cols, &none, Some(made))
+        };
+        let mut traction_kpa = Vec::new();
+        let found = estimator(&case.params, made.clone()).unwrap().run(&case.moved(), &mut traction_kpa);
+        let (found, expected) = (found.unwrap().unwrap(), expected.unwrap());
+        let size = expected.force_n.length();
+        prop_assert!((found.force_n - expected.force_n).length() < 1e-3 * size);
+        prop_assert!((found.torque_nmm - expected.torque_nmm).length() < 5e-3 * size);
+        let largest_kpa = expected_kpa.iter().map(|t| t.length()).fold(0.0, f64::max);
+        for (found, expected) in traction_kpa.iter().zip(&expected_kpa) {
+            prop_assert!((*found - *expected).length() < 0.02 * largest_kpa);
+        }
+        // Of another gel, and for a method without one.
+        let thinner = ForceParams { thickness_mm: Some(2.0), ..case.params.clone() };
+        let refused = estimator(&thinner, made.clone()).unwrap_err();
+        let of_thickness = ForceError::Compliance(ComplianceError::Differs {
+            name: "force.thickness_mm", found: 2.0, expected: scene.gel.thickness_mm,
+        });
+        prop_assert_eq!(refused, of_thickness);
+        let stiffness = Some(1.0);
+        let resultant = ForceParams {
+            method: ForceMethod::Resultant, patch_n_per_mm3: stiffness, around_n_per_mm3: stiffness,
+            shear_n_per_mm3: stiffness, ..case.params.clone()
+        };
+        prop_assert!(matches!(estimator(&resultant, made).unwrap_err(), ForceError::Params(_)));
+    }
 }

@@ -1,6 +1,7 @@
 //! Normal equations of the tractions.
 
 use super::cells::{Cell, Cells};
+use super::compliance::Compliance;
 use crate::layer::{FreeSides, Influence};
 use crate::math::linalg::Symmetric;
 use crate::math::sqrt;
@@ -8,9 +9,29 @@ use alloc::vec::Vec;
 
 /// Motion of a gel under unit tractions on the cells around its markers.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Gel<'a> {
-    pub influence: &'a Influence,
-    pub sides: Option<&'a FreeSides>,
+pub(super) enum Gel<'a> {
+    Layer { influence: &'a Influence, sides: Option<&'a FreeSides> },
+    Matrix(&'a Compliance),
+}
+
+impl Gel<'_> {
+    /// Motion of the marker in this row and column into the layer, along rows and along columns, under a
+    /// pressure and tractions along rows and columns of a cell.
+    fn effect(&self, (row, col): (usize, usize), cell: &Cell) -> [[f64; 3]; 3] {
+        let (influence, sides) = match *self {
+            Gel::Matrix(compliance) => return compliance.effect((row, col), (cell.row, cell.col)),
+            Gel::Layer { influence, sides } => (influence, sides),
+        };
+        let effect =
+            |at_col: isize, at_row: isize| influence.effect(col as isize - at_col, row as isize - at_row);
+        let mut effects = effect(cell.col as isize, cell.row as isize);
+        for image in sides.iter().flat_map(|sides| sides.images([cell.col, cell.row])) {
+            for (sum, of_image) in effects.iter_mut().zip(effect(image.col, image.row)) {
+                (0..3).for_each(|k| sum[k] += image.factors[k] * of_image[k]);
+            }
+        }
+        effects
+    }
 }
 
 /// Least squares K x = u, weighted by the covariances of the motions u. The unknowns x are, for each block,
@@ -82,7 +103,7 @@ impl Equations {
     /// which the influence has this derivative.
     pub fn differentiate(
         &mut self,
-        (gel, derivative): (Gel<'_>, &Influence),
+        (gel, derivative): (Gel<'_>, Gel<'_>),
         cells: &Cells,
         place: (usize, usize),
         (motion_mm, covariance_mm2): ([f64; 3], &Symmetric<3>),
@@ -91,7 +112,7 @@ impl Equations {
     ) {
         let Some(root) = whitening(covariance_mm2) else { return };
         fill(&mut self.rows, self.size, gel, cells, place);
-        fill(&mut self.changes, self.size, Gel { influence: derivative, ..gel }, cells, place);
+        fill(&mut self.changes, self.size, derivative, cells, place);
         let product = |row: &Vec<f64>| row.iter().zip(x).map(|(entry, x)| entry * x).sum::<f64>();
         let predicted_mm = [0, 1, 2].map(|i| product(&self.rows[i]));
         let left = weighed(&root, core::array::from_fn(|i| motion_mm[i] - predicted_mm[i]));
@@ -130,22 +151,9 @@ fn fill(rows: &mut [Vec<f64>; 3], size: usize, gel: Gel<'_>, cells: &Cells, plac
         row.resize(size, 0.0);
     }
     for cell in &cells.cells {
-        add_cell(rows, gel, cell, place);
-    }
-}
-
-/// Adds the influence of one cell, and of its images, on the marker in this row and column.
-fn add_cell(rows: &mut [Vec<f64>; 3], gel: Gel<'_>, cell: &Cell, (row, col): (usize, usize)) {
-    let effect =
-        |at_col: isize, at_row: isize| gel.influence.effect(col as isize - at_col, row as isize - at_row);
-    let mut effects = effect(cell.col as isize, cell.row as isize);
-    for image in gel.sides.iter().flat_map(|sides| sides.images([cell.col, cell.row])) {
-        for (sum, of_image) in effects.iter_mut().zip(effect(image.col, image.row)) {
-            (0..3).for_each(|k| sum[k] += image.factors[k] * of_image[k]);
+        for (list, effect) in rows.iter_mut().zip(gel.effect(place, cell)) {
+            list[3 * cell.block..][..3].iter_mut().zip(effect).for_each(|(sum, effect)| *sum += effect);
         }
-    }
-    for (list, effect) in rows.iter_mut().zip(effects) {
-        list[3 * cell.block..][..3].iter_mut().zip(effect).for_each(|(sum, effect)| *sum += effect);
     }
 }
 

@@ -1,5 +1,6 @@
 //! Errors of force estimation.
 
+use super::compliance::ComplianceError;
 use crate::params::ParamsError;
 
 /// Why forces cannot be estimated.
@@ -19,6 +20,8 @@ pub enum ForceError {
         /// Distances of neighbours along a row and down a column, mm.
         found_mm: [f64; 2],
     },
+    /// The compliance matrix is not of this sensor.
+    Compliance(ComplianceError),
     /// A seen marker has a position that is NaN or infinite.
     NotFinite {
         /// Which marker.
@@ -47,6 +50,7 @@ impl core::fmt::Display for ForceError {
                 "the lattice's pitch is {x:.3} mm along rows and {y:.3} mm along columns; forces need a \
                  square lattice, with pitches that differ by less than 5 %: set force.method = \"none\""
             ),
+            Self::Compliance(error) => error.fmt(f),
             Self::NotFinite { index } => write!(
                 f,
                 "marker {index} is seen, but has a coordinate that is NaN or infinite; give markers that are \

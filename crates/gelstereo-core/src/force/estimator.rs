@@ -1,10 +1,12 @@
 //! From marker motion to tractions and wrench.
 
 use super::cells::{Cell, Cells, MAX_BLOCKS};
+use super::compliance::Compliance;
 use super::cone::project;
 use super::equations::{Equations, Gel};
 use super::error::ForceError;
 use super::evidence::{Posterior, Variances};
+use super::fit::{check_compliance, square_lattice};
 use super::gel_error::GelError;
 use super::moved::MovedMarkers;
 use super::resultant::{Place, Stiffness, spread};
@@ -12,14 +14,11 @@ use super::wrench::Wrench;
 use crate::contact::RestSurface;
 use crate::layer::{FreeSides, Influence, Layer, N_PER_KPA_MM2};
 use crate::math::linalg::Symmetric;
-use crate::math::{DVec3, abs, sqrt};
+use crate::math::{DVec3, sqrt};
 use crate::params::{ForceMethod, ForceParams, ParamsError};
 use crate::track::MarkerState;
 use alloc::vec::Vec;
 
-/// Largest relative difference of the pitches of a square lattice. With 0, 2 and 4.9 %, the rms error of the
-/// pressing force is 6.9, 6.9 and 7.0 % on the contacts named below.
-const SQUARE: f64 = 0.05;
 /// Markers are used up to this distance from the contact, in thicknesses of the gel. With 0.25, 0.5, 1 and
 /// 1.5, the rms error of the pressing force is 21, 9.2, 6.9 and 8.1 % on the contacts named below: near
 /// markers alone do not tell how much gel is displaced, and far ones feel the gel's border.
@@ -75,6 +74,8 @@ pub struct ForceEstimator {
     young_kpa: f64,
     influence: Influence,
     sides: Option<FreeSides>,
+    /// In place of `influence` and `sides`, which then give its derivatives alone.
+    compliance: Option<Compliance>,
     thickness_mm: f64,
     rest: RestSurface,
     rest_covariance_mm2: Vec<Symmetric<3>>,
@@ -106,6 +107,21 @@ impl ForceEstimator {
         cols: usize,
         rest_covariance_mm2: &[Symmetric<3>],
     ) -> Result<Self, ForceError> {
+        Self::with_compliance(params, rest, cols, rest_covariance_mm2, None)
+    }
+
+    /// As [`Self::new`], with the gel's compliance matrix in place of the layer.
+    ///
+    /// # Errors
+    /// As [`Self::new`]; [`ForceError::Compliance`] if the matrix is of another lattice or gel, and
+    /// [`ForceError::Params`] for `method = resultant`, which does not use it.
+    pub fn with_compliance(
+        params: &ForceParams,
+        rest: &RestSurface,
+        cols: usize,
+        rest_covariance_mm2: &[Symmetric<3>],
+        compliance: Option<Compliance>,
+    ) -> Result<Self, ForceError> {
         params.validate().map_err(ForceError::Params)?;
         let stiffness = stiffness(params);
         // Forces by stiffness do not depend on the modulus.
@@ -120,20 +136,25 @@ impl ForceEstimator {
         let markers = rest.points_mm().len();
         check_length(markers, rest_covariance_mm2.len())?;
         let counts = [cols, markers / cols];
+        let layer = Layer { thickness_mm, poisson_ratio: params.poisson_ratio };
+        check_compliance(params, compliance.as_ref(), counts, pitch_mm, &layer)?;
         let rim_mm = params.rim_mm.filter(|mm| *mm <= MAX_RIM_PITCHES * pitch_mm);
-        let sides = rim_mm.map(|mm| FreeSides::new(counts, [pitch_mm; 2], [mm; 2]));
+        let sides = match &compliance {
+            Some(compliance) => Some(compliance.sides(MAX_RIM_PITCHES)),
+            None => rim_mm.map(|mm| FreeSides::new(counts, [pitch_mm; 2], [mm; 2])),
+        };
         let side = match (&stiffness, &sides) {
             (Some(_), _) => 1,
             (None, Some(sides)) => sides.reach(),
             (None, None) => counts[0].max(counts[1]),
         };
-        let layer = Layer { thickness_mm, poisson_ratio: params.poisson_ratio };
         let mut made = Self {
             params: params.clone(),
             stiffness,
             young_kpa,
-            influence: Influence::new(&layer, [pitch_mm; 2], side),
+            influence: Influence::new(&layer, [pitch_mm; 2], if compliance.is_some() { 1 } else { side }),
             sides,
+            compliance,
             thickness_mm,
             rest: rest.clone(),
             rest_covariance_mm2: rest_covariance_mm2.to_vec(),
@@ -175,7 +196,8 @@ impl ForceEstimator {
         let (size, cells) = (self.equations.size as f64, self.cells.cells.len() as f64);
         let markers = self.equations.count as f64 / 3.0;
         let images = if self.sides.is_some() { 5 } else { 1 };
-        let assemblies = (images * (1 + 2 * self.gel_errors.len())) as f64;
+        let of_gel = if self.compliance.is_some() { 1 } else { images };
+        let assemblies = (of_gel + (of_gel + images) * self.gel_errors.len()) as f64;
         let assembly = markers * (assemblies * PER_CELL * cells + PER_PAIR * size * size);
         let rounds = self.posterior.rounds.min(USUAL_ROUNDS) as f64 * PER_TRIPLE * size * size * size;
         if self.variances.is_some() { (1e-3 * (BASE + assembly + rounds)) as u64 } else { 0 }
@@ -288,7 +310,7 @@ impl ForceEstimator {
         for &n in self.cells.near.iter().filter(|&&n| moved.state[n] == MarkerState::Seen) {
             let (motion_mm, covariance_mm2) = self.motion(moved, n);
             let place = (n / self.cols, n % self.cols);
-            let gel = Gel { influence: &self.influence, sides: self.sides.as_ref() };
+            let gel = gel(&self.influence, self.sides.as_ref(), self.compliance.as_ref());
             self.equations.add(gel, &self.cells, place, motion_mm, &covariance_mm2);
         }
         self.equations.mirror();
@@ -323,7 +345,10 @@ impl ForceEstimator {
                 }
                 let (motion_mm, covariance_mm2) = self.motion(moved, n);
                 self.equations.differentiate(
-                    (Gel { influence: &self.influence, sides: self.sides.as_ref() }, &error.derivative),
+                    (
+                        gel(&self.influence, self.sides.as_ref(), self.compliance.as_ref()),
+                        gel(&error.derivative, self.sides.as_ref(), None),
+                    ),
                     &self.cells,
                     (n / self.cols, n % self.cols),
                     (motion_mm, &covariance_mm2),
@@ -453,29 +478,15 @@ fn stiffness(params: &ForceParams) -> Option<Stiffness> {
     is_asked.then_some(Stiffness { patch, around, shear, sigma: params.resultant_sigma })
 }
 
-fn check_length(rest: usize, found: usize) -> Result<(), ForceError> {
-    if rest == found { Ok(()) } else { Err(ForceError::Lengths { rest, found }) }
+/// How tractions move the gel.
+fn gel<'a>(
+    influence: &'a Influence,
+    sides: Option<&'a FreeSides>,
+    compliance: Option<&'a Compliance>,
+) -> Gel<'a> {
+    compliance.map_or(Gel::Layer { influence, sides }, Gel::Matrix)
 }
 
-/// Axes of a square lattice and its pitch.
-fn square_lattice(rest_mm: &[DVec3], normal: DVec3, cols: usize) -> Result<([DVec3; 3], f64), ForceError> {
-    let markers = rest_mm.len();
-    if cols < 2 || markers < 2 * cols || !markers.is_multiple_of(cols) {
-        return Err(ForceError::Lattice { markers, cols });
-    }
-    let rows = markers / cols;
-    let in_plane = |v: DVec3| v - normal * v.dot(normal);
-    // The mean of the steps between neighbours is that between the ends.
-    let along: DVec3 = (0..rows).map(|row| rest_mm[row * cols + cols - 1] - rest_mm[row * cols]).sum();
-    let down: DVec3 = (0..cols).map(|col| rest_mm[markers - cols + col] - rest_mm[col]).sum();
-    let x = in_plane(along) / (rows * (cols - 1)) as f64;
-    let y = in_plane(down) / (cols * (rows - 1)) as f64;
-    let found_mm = [x.length(), y.length()];
-    let pitch_mm = 0.5 * (found_mm[0] + found_mm[1]);
-    if !(abs(found_mm[0] - found_mm[1]) < SQUARE * pitch_mm) {
-        return Err(ForceError::Pitch { found_mm });
-    }
-    let right = x / found_mm[0];
-    let y = y - right * y.dot(right);
-    Ok(([normal, right, y / y.length()], pitch_mm))
+fn check_length(rest: usize, found: usize) -> Result<(), ForceError> {
+    if rest == found { Ok(()) } else { Err(ForceError::Lengths { rest, found }) }
 }

@@ -5,6 +5,9 @@
 //! its markers. [`ForceEstimator`] finds the most probable ones, given the motion of the markers in and
 //! around the contact with their covariances, and states the [`Wrench`] with its covariance.
 //!
+//! A [`Compliance`], which finite elements give, replaces the layer where the gel is narrow for its
+//! thickness.
+//!
 //! Without a layer, known loads tell how stiff the gel is, and the wrench is a sum over the markers.
 //!
 //! The weights of the prior come from the data: the evidence is maximised over the variances of pressures,
@@ -12,16 +15,20 @@
 //! within the noise, the covariance widens.
 
 mod cells;
+mod compliance;
+mod compliance_bytes;
 mod cone;
 mod equations;
 mod error;
 mod estimator;
 mod evidence;
+mod fit;
 mod gel_error;
 mod moved;
 mod resultant;
 mod wrench;
 
+pub use compliance::{Compliance, ComplianceError, ComplianceGel};
 pub use error::ForceError;
 pub use estimator::ForceEstimator;
 pub use moved::MovedMarkers;
