@@ -95,6 +95,8 @@ class Sensor:
         covered = np.zeros((height, width))
         for (u, v), radius in zip(at_px, radii_px, strict=True):
             reach = int(radius + 4 * BLUR_PX) + 2
+            if not (-reach < u < width + reach and -reach < v < height + reach):
+                continue
             rows = slice(max(int(v) - reach, 0), int(v) + reach + 1)
             cols = slice(max(int(u) - reach, 0), int(u) + reach + 1)
             distance = np.hypot(x[rows, cols] - u, y[rows, cols] - v)
