@@ -1,6 +1,6 @@
 //! Nearest neighbours of points in the plane, by square buckets.
 
-use crate::math::{DVec2, DVec3, sqrt};
+use crate::math::{DVec2, sqrt};
 use alloc::vec::Vec;
 
 /// Largest number of buckets per side; wider spreads get larger buckets.
@@ -118,17 +118,21 @@ impl Grid {
         }
     }
 
-    /// Sorts finite points by x and y for [`Self::nearest_others`]. A bucket and its eight neighbours
-    /// hold about forty points.
-    pub fn build_evenly(&mut self, points: &[DVec3]) {
-        let flat = || points.iter().map(|p| p.truncate());
-        let (low, high) =
-            flat().fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(low, high), p| (low.min(p), high.max(p)));
+    /// Sorts finite points for [`Self::nearest_others`], in buckets of at least `min_side`. A bucket and its
+    /// eight neighbours hold about forty points, or more.
+    pub fn build_evenly<I>(&mut self, points: I, min_side: f64)
+    where
+        I: ExactSizeIterator<Item = DVec2> + DoubleEndedIterator + Clone,
+    {
+        let (low, high) = points
+            .clone()
+            .fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(low, high), p| (low.min(p), high.max(p)));
         let (extent, count) = ((high - low).max(DVec2::ZERO), points.len().max(1) as f64);
         // At most as many buckets per axis as points, even for collinear ones; coincident points share
         // one bucket.
-        let side = EVEN_SIDE * sqrt(extent.x * extent.y / count).max(extent.max_element() / count);
-        self.build_from(flat(), if side > 0.0 { side } else { 1.0 });
+        let even = EVEN_SIDE * sqrt(extent.x * extent.y / count).max(extent.max_element() / count);
+        let side = even.max(min_side);
+        self.build_from(points, if side > 0.0 { side } else { 1.0 });
     }
 
     /// The `K` nearest other points of a point of [`Self::build_evenly`], nearest first, then by index.
@@ -185,7 +189,7 @@ fn insert<const K: usize>(best: &mut [(f64, u32); K], squared: f64, index: u32) 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::math::random::Stream;
+    use crate::math::{DVec3, random::Stream};
     use proptest::prelude::*;
 
     proptest! {
@@ -226,7 +230,7 @@ mod tests {
                 places[0] = DVec3::new(-300.0, 200.0, 0.0);
             }
             let mut grid = Grid::default();
-            grid.build_evenly(&places);
+            grid.build_evenly(places.iter().map(|p| p.truncate()), 0.0);
             for (k, &at) in places.iter().enumerate() {
                 let squared = |j: usize| places[j].distance_squared(at);
                 let found = grid.nearest_others::<6>(k, at.truncate(), squared);

@@ -5,6 +5,7 @@ use crate::detect::mask::blob_filter::AREA_SPREAD;
 use crate::detect::mask::usual_area::usual_area_px2;
 use crate::image::{GrayView, reaches};
 use crate::math::{DVec2, abs, ceil, sqrt};
+use crate::spatial::Grid;
 use alloc::vec::Vec;
 use core::f64::consts::FRAC_1_PI;
 use core::ops::Range;
@@ -161,46 +162,44 @@ pub(in crate::detect) fn variance_px2(
     (radius_px * hidden) * (radius_px * hidden)
 }
 
-/// As [`variance_px2`], for a listed marker without a model fit, relative to the markers around it.
-/// Perspective and a curved gel make areas of uncovered markers vary over the image.
-pub(in crate::detect) fn unfitted_px2(image: GrayView<'_>, markers: &Markers, index: usize) -> f64 {
+/// As [`variance_px2`], for a listed marker without a model fit, relative to the markers around it, which
+/// `grid` has sorted. Perspective and a curved gel make areas of uncovered markers vary over the image.
+pub(in crate::detect) fn unfitted_px2(
+    image: GrayView<'_>,
+    markers: &Markers,
+    grid: &Grid,
+    index: usize,
+) -> f64 {
     let (centre_px, area_px2) = (markers.centres_px[index], markers.area_px2[index]);
-    let (min, max) = areas_around_px2(markers, index);
+    let (min, max) = areas_around_px2(markers, grid, index);
     let usual_px2 = area_px2.clamp(min, max);
     variance_px2(image, centre_px, f64::from(area_px2), f64::from(usual_px2))
 }
 
-/// Variance of a coordinate, px², of a listed marker whose model was fitted, if its area differs both from
-/// the usual one and from those of the markers around it: a part is hidden.
-pub(in crate::detect) fn hidden_px2(
+/// Whether a part of a listed marker whose model was fitted may be hidden: its area differs from the usual
+/// one, which no reflection explains. [`unfitted_px2`] is its variance then.
+pub(in crate::detect) fn may_be_hidden(
     image: GrayView<'_>,
     markers: &Markers,
     index: usize,
     usual_px2: f64,
-) -> f64 {
+) -> bool {
     let is_usual = abs(1.0 - f64::from(markers.area_px2[index]) / usual_px2) <= AREA_SPREAD;
-    if is_usual || is_under_glare(image, markers.centres_px[index], sqrt(usual_px2 * FRAC_1_PI)) {
-        return 0.0;
-    }
-    unfitted_px2(image, markers, index)
+    !is_usual && !is_under_glare(image, markers.centres_px[index], sqrt(usual_px2 * FRAC_1_PI))
 }
 
 /// Range of the areas of the markers nearest to a listed one, without the smallest and largest, since one
 /// may be covered too. Unlimited with too few markers.
-fn areas_around_px2(markers: &Markers, index: usize) -> (u32, u32) {
-    let mut nearest = [(f64::INFINITY, 0); NEIGHBOURS];
-    let others = markers.centres_px.iter().zip(&markers.area_px2).enumerate().filter(|&(k, _)| k != index);
-    for (_, (centre_px, &area_px2)) in others {
-        let far_px2 = centre_px.distance_squared(markers.centres_px[index]);
-        let place = nearest.partition_point(|&(nearer_px2, _)| nearer_px2 <= far_px2);
-        if place < NEIGHBOURS {
-            nearest[place..].rotate_right(1);
-            nearest[place] = (far_px2, area_px2);
-        }
+fn areas_around_px2(markers: &Markers, grid: &Grid, index: usize) -> (u32, u32) {
+    let (centres_px, own_px) = (&markers.centres_px, markers.centres_px[index]);
+    let squared = |other: usize| centres_px[other].distance_squared(own_px);
+    let nearest = grid.nearest_others::<NEIGHBOURS>(index, own_px, squared);
+    if !nearest[NEIGHBOURS - 1].0.is_finite() {
+        return (0, u32::MAX);
     }
-    nearest.sort_unstable_by_key(|&(_, area_px2)| area_px2);
-    let [(first_px2, _), ..] = nearest;
-    if first_px2.is_finite() { (nearest[1].1, nearest[NEIGHBOURS - 2].1) } else { (0, u32::MAX) }
+    let mut areas_px2 = nearest.map(|(_, other)| markers.area_px2[other as usize]);
+    areas_px2.sort_unstable();
+    (areas_px2[1], areas_px2[NEIGHBOURS - 2])
 }
 
 /// As [`variance_px2`], for a marker without a band because something touches it; 0 for others.

@@ -322,7 +322,7 @@ impl Samples {
     fn find_hollow(&mut self, contact: &Contact<'_>) {
         let press = contact.press_direction;
         self.lay_flat(contact);
-        self.grid.build_evenly(&self.flat);
+        self.grid.build_evenly(self.flat.iter().map(|p| p.truncate()), 0.0);
         for k in 0..contact.points_mm.len() {
             let (flat, at) = (&self.flat, self.flat[k]);
             let squared = |j: usize| {
@@ -349,7 +349,7 @@ impl Samples {
         let (a, b) = press.any_orthonormal_pair();
         flat.clear();
         flat.extend(pressed.iter().map(|s| DVec3::new(s.p_mm.dot(a), s.p_mm.dot(b), s.p_mm.dot(press))));
-        grid.build_evenly(flat);
+        grid.build_evenly(flat.iter().map(|p| p.truncate()), 0.0);
         for (k, s) in pressed.iter().enumerate() {
             let squared = |j: usize| s.p_mm.distance_squared(pressed[j].p_mm);
             let best = grid.nearest_others::<NEIGHBOURS>(k, flat[k].truncate(), squared);

@@ -20,8 +20,7 @@ pub(super) struct Neighbours {
 impl Neighbours {
     pub fn new(rest_px: &[DVec2]) -> Self {
         let mut grid = Grid::default();
-        let flat: Vec<_> = rest_px.iter().map(|p| p.extend(0.0)).collect();
-        grid.build_evenly(&flat);
+        grid.build_evenly(rest_px.iter().copied(), 0.0);
         let (mut both, mut nearest_px) = (Vec::new(), Vec::with_capacity(rest_px.len()));
         for (n, &place) in rest_px.iter().enumerate() {
             let nearest = grid.nearest_others::<NEAREST>(n, place, |m| rest_px[m].distance_squared(place));

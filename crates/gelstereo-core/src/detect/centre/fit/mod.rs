@@ -61,7 +61,9 @@ pub struct DiscFit {
     starts: Vec<Start>,
     /// Indices of the last image's markers that were not fitted.
     unfitted: Vec<u32>,
+    /// Centres of all components, then those of the listed markers once they are asked for.
     grid: Grid,
+    has_listed: bool,
     centres_px: Vec<DVec2>,
 }
 
@@ -77,6 +79,7 @@ impl DiscFit {
             starts: Vec::new(),
             unfitted: Vec::new(),
             grid: Grid::default(),
+            has_listed: false,
             centres_px: Vec::new(),
         }
     }
@@ -144,7 +147,7 @@ impl DiscFit {
 
     /// Replaces centre and covariance of a listed marker if it was fitted; returns whether it was.
     fn replace(
-        &self,
+        &mut self,
         image: GrayView<'_>,
         Listed { index, radius_px }: Listed,
         fitted: Option<Fitted>,
@@ -153,16 +156,27 @@ impl DiscFit {
         if let Some(Fitted { centre_px, covariance_px2: [[xx, xy], [_, yy]], .. }) = fitted {
             // What is left of a covered disc may pass for an ellipse.
             let usual_px2 = PI * self.fitter.usual_radius_px() * self.fitter.usual_radius_px();
-            let hidden = covered::hidden_px2(image, markers, index, usual_px2);
+            let may_be_hidden = covered::may_be_hidden(image, markers, index, usual_px2);
+            let hidden = if may_be_hidden { self.covered_px2(image, markers, index) } else { 0.0 };
             markers.centres_px[index] = centre_px;
             markers.covariance_px2[index] = [[xx + hidden, xy], [xy, yy + hidden]];
             return true;
         }
         let min = unfitted_variance_px2(&self.fitter, radius_px);
-        let covered = covered::unfitted_px2(image, markers, index);
+        let covered = self.covered_px2(image, markers, index);
         let [[xx, _], [_, yy]] = &mut markers.covariance_px2[index];
         (*xx, *yy) = (xx.max(min) + covered, yy.max(min) + covered);
         false
+    }
+
+    /// Variance of a listed marker relative to those around it. These are sorted for the first one only: few
+    /// images need it.
+    fn covered_px2(&mut self, image: GrayView<'_>, markers: &Markers, index: usize) -> f64 {
+        if !self.has_listed {
+            self.grid.build_evenly(markers.centres_px.iter().copied(), MIN_FAR_PX);
+            self.has_listed = true;
+        }
+        covered::unfitted_px2(image, markers, &self.grid, index)
     }
 
     fn find_neighbours(&mut self, image: GrayView<'_>, others_px: impl Iterator<Item = DVec2>) {
@@ -176,6 +190,7 @@ impl DiscFit {
         centres_px.extend(others_px);
         grid.reserve(max, (image.width(), image.height()), MIN_FAR_PX);
         grid.build(centres_px, far_px);
+        self.has_listed = false;
         for start in starts {
             let (at, own_px) = (start.centre_px, 0.5 * start.radius_px());
             let other = grid.nearest(centres_px, at, far_px, |n| centres_px[n].distance(at) > own_px);
@@ -205,6 +220,7 @@ impl CentreRung for DiscFit {
     /// Uses what was learned from the last whole image searched.
     fn refine_windows(&mut self, image: GrayView<'_>, _: &MarkerSize, out: &mut Markers) -> bool {
         let radius_px = self.fitter.usual_radius_px();
+        self.has_listed = false;
         for k in 0..out.centres_px.len() {
             let fitted = self.fitter.run_usual(image, out.centres_px[k]);
             out.unfitted += usize::from(!self.replace(image, Listed { index: k, radius_px }, fitted, out));
