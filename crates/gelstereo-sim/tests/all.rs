@@ -14,6 +14,7 @@ mod force;
 mod free_sides;
 mod gallery;
 mod hexagonal;
+mod hexagonal_windows;
 mod history;
 mod label_slips;
 mod lattice;

@@ -171,10 +171,7 @@ impl ViewStages {
         limit: Option<u64>,
         size: &ViewSize,
     ) -> Option<DetectRung> {
-        let are_ready = follows
-            && self.hexagonal.is_none()
-            && self.windows.are_ready()
-            && is_certain(params, &self.tracks);
+        let are_ready = follows && self.windows.are_ready() && is_certain(params, &self.tracks);
         let fits = |work: u64| limit.is_none_or(|limit| work <= limit);
         match params.detect.search {
             _ if !are_ready => None,
@@ -203,21 +200,25 @@ impl ViewStages {
     /// Runs detection and tracking in windows. Returns whether they are as certain as the previous frame;
     /// the tracks are then in `windows`.
     fn detect_in_windows(&mut self, image: GrayView<'_>, params: &Params) -> bool {
-        let Self { windows, detector, cheaper, rung, tracker, checked, tracks, .. } = self;
+        let Self { windows, detector, cheaper, rung, tracker, checked, hexagonal, tracks, .. } = self;
         let detector = of_rung(*rung, detector, cheaper);
-        let predicted_px = match params.label.method {
-            LabelMethod::Lattice => checked.predict(tracks),
-            LabelMethod::Foresight => tracks.positions_px.as_slice(),
+        let predicted_px = match (params.label.method, &mut *hexagonal) {
+            (LabelMethod::Lattice, Some(tracker)) => tracker.predict(tracks),
+            (LabelMethod::Lattice, None) => checked.predict(tracks),
+            (LabelMethod::Foresight, _) => tracks.positions_px.as_slice(),
         };
         let lattice = LatticeScale { cols: self.cols, pitch_px: self.pitch_px };
         if !windows.look(detector, image, predicted_px, lattice, tracks) {
             return false;
         }
-        match params.label.method {
-            LabelMethod::Lattice => {
+        match (params.label.method, hexagonal) {
+            (LabelMethod::Lattice, Some(tracker)) => {
+                tracker.run(&windows.found.markers, &mut windows.tracks) == Certainty::Certain
+            }
+            (LabelMethod::Lattice, None) => {
                 checked.run_near(&windows.found, &mut windows.tracks) == Certainty::Certain
             }
-            LabelMethod::Foresight => {
+            (LabelMethod::Foresight, _) => {
                 tracker.run(&windows.found.markers, &mut windows.tracks);
                 is_certain(params, &windows.tracks)
             }
@@ -231,8 +232,7 @@ impl ViewStages {
             // It learns the image's noise.
             let _ = cheaper.run(image, &mut self.windows.found.markers);
         }
-        let has_windows = self.is_limited || params.detect.search == Search::Windows;
-        if has_windows && self.hexagonal.is_none() {
+        if self.is_limited || params.detect.search == Search::Windows {
             let Self { windows, detector, cheaper, markers, tracks, .. } = self;
             let size_px = (image.width(), image.height());
             let lattice = LatticeScale { cols: self.cols, pitch_px: self.pitch_px };
@@ -369,16 +369,19 @@ impl ViewStages {
 
     /// Updates the tracks to this frame.
     fn track(&mut self, params: &Params) -> Certainty {
-        if let Some(tracker) = &mut self.hexagonal {
-            return tracker.run(&self.markers, &mut self.tracks);
-        }
         if self.skipped {
-            self.checked.hold(&mut self.tracks);
+            match &self.hexagonal {
+                Some(tracker) => tracker.hold(&mut self.tracks),
+                None => self.checked.hold(&mut self.tracks),
+            }
             return Certainty::Uncertain;
         }
         if self.searched == Searched::Windows {
             core::mem::swap(&mut self.tracks, &mut self.windows.tracks);
             return Certainty::Certain;
+        }
+        if let Some(tracker) = &mut self.hexagonal {
+            return tracker.run(&self.markers, &mut self.tracks);
         }
         if params.label.method == LabelMethod::Lattice || self.resumes {
             return self.checked.run(&self.markers, &mut self.tracks);

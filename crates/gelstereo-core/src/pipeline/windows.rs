@@ -28,8 +28,9 @@ pub(super) struct LatticeScale {
     pub pitch_px: f64,
 }
 
-/// Windows around the markers, and around sentinels: places one pitch outside the lattice, which should
-/// be empty.
+/// Windows around the markers, and around sentinels: places one step outside the lattice, which should
+/// be empty. Beyond a row of a hexagonal print, they are places of its next row too: a marker's step from its
+/// neighbour of the row inside leads to one.
 ///
 /// A lattice that moved by a pitch fills all windows except those along one side. On the other side, a
 /// sentinel then detects a marker, or the surroundings of the gel hide it.

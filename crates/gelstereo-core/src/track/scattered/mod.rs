@@ -181,7 +181,7 @@ impl ScatteredTracker {
         if self.rest_px.is_empty() || out.positions_px.len() != self.rest_px.len() {
             return Certainty::Uncertain;
         }
-        self.predict(out);
+        let _ = self.predict(out);
         let is_found = self.identify(&detected.centres_px, out)
             // Gel released during uncertain frames looks as at rest.
             || out.stale && {
@@ -205,12 +205,15 @@ impl ScatteredTracker {
         (out.steady, out.stale) = (false, true);
     }
 
-    fn predict(&mut self, tracks: &Tracks) {
+    /// Predicted marker positions in the next frame, for a search around predictions.
+    #[must_use]
+    pub fn predict(&mut self, tracks: &Tracks) -> &[DVec2] {
         let is_moving = self.params.motion == Motion::ConstantVelocity && tracks.steady;
         let steps = tracks.positions_px.iter().zip(&tracks.previous_px);
         self.expected_px.clear();
         self.expected_px
             .extend(steps.map(|(&now, &before)| if is_moving { now + (now - before) } else { now }));
+        &self.expected_px
     }
 
     /// Matches the detections to the expected positions, with the matches in `best`; returns whether they
