@@ -19,8 +19,8 @@ from gelstereo_bench.frontier.cost_registration import (
 from gelstereo_bench.frontier.grasps import GRASPED, NOISES, grasps
 
 
-def samples(seed: int, ms_per_unit: float, ms_per_small: float) -> list[Sample]:
-    """Every variant on every size, with random coefficients; steps for small markers have another time."""
+def samples(seed: int, ms_per_unit: float, ms_per_slow: float) -> list[Sample]:
+    """Every variant on every size, with random coefficients; slow terms have another time."""
     random = np.random.default_rng(seed)
     out = []
     coefficients: dict[tuple[str, int], float] = {}
@@ -38,8 +38,7 @@ def samples(seed: int, ms_per_unit: float, ms_per_small: float) -> list[Sample]:
                 coefficients.setdefault(column, random.uniform(1.0, 20.0))
             sample = Sample(size, lattice, variant, width * height, lattice**2, area_px2, 0.0, 0.0)
             units = sample.row(columns) * [coefficients[column] for column in columns]
-            last = len(cost.PARTS) - 1
-            ms = [ms_per_small if part == last else ms_per_unit for _, part in columns]
+            ms = [ms_per_slow if term in cost.SLOW_TERMS else ms_per_unit for term, _ in columns]
             out.append(
                 replace(sample, instructions=float(sum(units)) * cost.UNIT, median_ms=float(units @ ms))
             )

@@ -28,10 +28,7 @@ Array = npt.NDArray[np.float64]
 #: Instructions of a unit of work.
 UNIT = 1000.0
 #: What a term grows with.
-PARTS = ("base", "per kilopixel", "per marker", "per marker and px²", "per small marker")
-#: Area below which fits need steps of their own: `small_px2` of `pipeline/work.rs`. Whole images take three
-#: times as long per marker at 14 px² as at 24 px², windows four times at 7 px² as at 14 px².
-SMALL_PX2 = {"WHOLE_FIT": 24.0, "WHOLE_FINE_FIT": 24.0, "WINDOWS_FIT": 14.0, "WINDOWS_FINE_FIT": 14.0}
+PARTS = ("base", "per kilopixel", "per marker", "per marker and px²")
 #: Terms of `pipeline/work.rs` that are paid once for each view; the others once for each frame.
 DETECT_TERMS = (
     "WHOLE_GAUSSIAN",
@@ -45,16 +42,17 @@ DETECT_TERMS = (
     "WINDOWS_FINE_FIT",
 )
 FRAME_TERMS = ("FRAME", "RAYS", "DISC_BIAS", "PRESSURE", "ADAPTIVE")
-#: Three short measurements of 640x480 images, with the markers' number per side. They tell a machine's time
-#: for a unit of work and, since the last one has small markers, for a unit of the steps that these need.
-REFERENCES = (("WHOLE_FIT", 25), ("WINDOWS_FIT", 25), ("WHOLE_FIT", 71))
+#: Terms whose instructions wait for each other's results: divisions and roots of one marker after the other.
+#: They take 1.5 to 2 times as long as those over pixels.
+SLOW_TERMS = ("RAYS", "DISC_BIAS")
+#: Three short measurements of 640x480 images, with the markers' number per side. They give a machine's time
+#: for a unit of work and, by the last one, for a unit of slow work.
+REFERENCES = (("whole fit", 25), ("windows fit", 25), ("rays, disc bias", 25))
 #: Which parts a term has; what the data cannot tell apart is left to one term.
 _SHAPES: Mapping[str, tuple[bool, ...]] = {
-    **{
-        term: (True, True, True, True, term in SMALL_PX2) for term in DETECT_TERMS if term.startswith("WHOLE")
-    },
-    **{term: (True, False, True, True, term in SMALL_PX2) for term in DETECT_TERMS if "WINDOWS" in term},
-    **dict.fromkeys(FRAME_TERMS, (False, False, True, False, False)),
+    **{term: (True, True, True, True) for term in DETECT_TERMS if term.startswith("WHOLE")},
+    **{term: (True, False, True, True) for term in DETECT_TERMS if "WINDOWS" in term},
+    **dict.fromkeys(FRAME_TERMS, (False, False, True, False)),
 }
 _SIZES: tuple[tuple[Format, int], ...] = (
     (FORMATS[0], 25),
@@ -97,14 +95,7 @@ class Sample:
     def _times(self, term: str, part: int) -> float:
         if term not in self.variant.terms:
             return 0.0
-        smallness = max(0.0, 1.0 - self.marker_px2 / SMALL_PX2.get(term, 1.0))
-        parts = (
-            1.0,
-            1e-3 * self.pixels,
-            self.markers,
-            self.markers * self.marker_px2,
-            self.markers * smallness,
-        )
+        parts = (1.0, 1e-3 * self.pixels, self.markers, self.markers * self.marker_px2)
         return (2.0 if term in DETECT_TERMS else 1.0) * parts[part]
 
 
@@ -115,8 +106,8 @@ class Cost:
     coefficients: Mapping[tuple[str, int], float]
     #: Predicted over counted instructions, for each sample.
     ratios: Sequence[float]
-    #: Those of the steps for small markers.
-    small_ratios: Sequence[float]
+    #: Those of slow work, of `SLOW_TERMS`.
+    slow_ratios: Sequence[float]
 
 
 def _variants() -> list[Variant]:
@@ -228,9 +219,9 @@ def fit_costs(samples: Sequence[Sample]) -> Cost:
     counted = np.array([sample.instructions for sample in samples]) / UNIT
     rows = np.array([sample.row(columns) for sample in samples])
     found, _ = nnls(rows / counted[:, None], np.ones(len(samples)))
-    is_small = np.array([part == len(PARTS) - 1 for _, part in columns])
-    small = rows[:, is_small] @ found[is_small]
-    return Cost(dict(zip(columns, found, strict=True)), list(rows @ found / counted), list(small / counted))
+    is_slow = np.array([term in SLOW_TERMS for term, _ in columns])
+    slow = rows[:, is_slow] @ found[is_slow]
+    return Cost(dict(zip(columns, found, strict=True)), list(rows @ found / counted), list(slow / counted))
 
 
 def cost_table(samples: Sequence[Sample], cost: Cost) -> Table:
@@ -247,18 +238,12 @@ def cost_table(samples: Sequence[Sample], cost: Cost) -> Table:
 def time_table(samples: Sequence[Sample], cost: Cost) -> Table:
     """Measured times, and how far predictions from the three short measurements are off."""
     counted = 1e-6 * np.array([sample.instructions for sample in samples])
-    small = counted * np.array(cost.small_ratios)
-    usual = counted * np.array(cost.ratios) - small
+    slow = counted * np.array(cost.slow_ratios)
+    usual = counted * np.array(cost.ratios) - slow
     measured_ms = np.array([sample.median_ms for sample in samples])
-    of_terms = {
-        (sample.variant.terms[0], sample.size.name, sample.lattice): k for k, sample in enumerate(samples)
-    }
-
-    def index(term: str, lattice: int) -> int:
-        return of_terms[term, _SIZES[0][0].name, lattice]
-
-    known = [index(*reference) for reference in REFERENCES]
-    work = np.column_stack((usual, small))
+    places = {(sample.variant.name, sample.size.name, sample.lattice): k for k, sample in enumerate(samples)}
+    known = [places[name, _SIZES[0][0].name, lattice] for name, lattice in REFERENCES]
+    work = np.column_stack((usual, slow))
     ms_per_unit, _ = nnls(work[known] / measured_ms[known, None], np.ones(len(known)))
     predicted_ms = work @ ms_per_unit
     head = ["method", *(f"{size.name}, {lattice}x{lattice}" for size, lattice in _SIZES)]
@@ -275,7 +260,6 @@ def rust_lines(cost: Cost) -> str:
     """The constants of `pipeline/work.rs`."""
     lines = []
     for term in dict.fromkeys(term for term, _ in cost.coefficients):
-        *values, small = (cost.coefficients.get((term, part), 0.0) for part in range(len(PARTS)))
-        added = f".with_small({small:.3g}, {SMALL_PX2[term]:g})" if term in SMALL_PX2 else ""
-        lines.append(f"const {term}: Cost = cost({', '.join(f'{value:.3g}' for value in values)}){added};")
+        values = (cost.coefficients.get((term, part), 0.0) for part in range(len(PARTS)))
+        lines.append(f"const {term}: Cost = cost({', '.join(f'{value:.3g}' for value in values)});")
     return "\n".join(lines)

@@ -35,50 +35,37 @@ struct Cost {
     per_kilopixel: f64,
     per_marker: f64,
     per_marker_px2: f64,
-    /// For a marker without area; less the larger it is, and nothing from `small_px2` on.
-    per_small_marker: f64,
-    small_px2: f64,
 }
 
 impl Cost {
-    const fn with_small(self, per_small_marker: f64, small_px2: f64) -> Self {
-        Self { per_small_marker, small_px2, ..self }
-    }
-
     fn of(&self, size: &ViewSize) -> u64 {
         let ViewSize { pixels, markers, marker_px2 } = *size;
-        let smallness = (1.0 - marker_px2 / self.small_px2).max(0.0);
-        let of_marker =
-            self.per_marker + self.per_marker_px2 * marker_px2 + self.per_small_marker * smallness;
+        let of_marker = self.per_marker + self.per_marker_px2 * marker_px2;
         (self.base + self.per_kilopixel * 1e-3 * pixels as f64 + of_marker * markers as f64) as u64
     }
 }
 
 const fn cost(base: f64, per_kilopixel: f64, per_marker: f64, per_marker_px2: f64) -> Cost {
-    Cost { base, per_kilopixel, per_marker, per_marker_px2, per_small_marker: 0.0, small_px2: 1.0 }
+    Cost { base, per_kilopixel, per_marker, per_marker_px2 }
 }
 
 // Fitted to instruction counts by `gelstereo frontier cost`; docs/accuracy-vs-time.md has the residuals.
-const WHOLE_GAUSSIAN: Cost = cost(188.0, 217.0, 1.96, 0.0873);
-const WHOLE_GREY: Cost = cost(671.0, 6.37, 2.13, 0.0559);
-const WHOLE_SOFT: Cost = cost(7080.0, 12.0, 4.68, 0.0504);
-const WHOLE_SOFT_HALF: Cost = cost(4750.0, 8.83, 6.07, 0.0342);
-const WHOLE_FIT: Cost = cost(9200.0, 0.0, 8.37, 0.118).with_small(99.3, SMALL_PX2);
-const WHOLE_FINE_FIT: Cost = cost(33.3, 2.34, 36.8, 0.163).with_small(80.3, SMALL_PX2);
-const WINDOWS_SOFT: Cost = cost(0.0, 0.0, 0.0, 0.008_88);
-const WINDOWS_FIT: Cost = cost(0.0, 0.0, 5.03, 0.0369).with_small(73.6, SMALL_IN_WINDOWS_PX2);
-const WINDOWS_FINE_FIT: Cost = cost(0.0, 0.0, 25.8, 0.0539).with_small(51.2, SMALL_IN_WINDOWS_PX2);
+const WHOLE_GAUSSIAN: Cost = cost(165.0, 217.0, 2.0, 0.0877);
+const WHOLE_GREY: Cost = cost(463.0, 5.96, 2.12, 0.0691);
+const WHOLE_SOFT: Cost = cost(7070.0, 12.0, 4.71, 0.0505);
+const WHOLE_SOFT_HALF: Cost = cost(4860.0, 8.59, 6.04, 0.0381);
+const WHOLE_FIT: Cost = cost(9940.0, 0.573, 8.88, 0.11);
+const WHOLE_FINE_FIT: Cost = cost(6410.0, 9.17, 24.4, 0.132);
+const WINDOWS_SOFT: Cost = cost(0.0, 0.0, 0.0, 0.009_32);
+const WINDOWS_FIT: Cost = cost(154.0, 0.0, 4.75, 0.0434);
+const WINDOWS_FINE_FIT: Cost = cost(0.0, 0.0, 19.5, 0.113);
 /// Labels, points by polynomials, heights and the patch; with what every marker costs in windows.
-const FRAME: Cost = cost(0.0, 0.0, 8.77, 0.0);
+const FRAME: Cost = cost(0.0, 0.0, 8.69, 0.0);
 /// More than polynomials.
-const RAYS: Cost = cost(0.0, 0.0, 1.26, 0.0);
-const DISC_BIAS: Cost = cost(0.0, 0.0, 3.26, 0.0);
-const PRESSURE: Cost = cost(0.0, 0.0, 0.816, 0.0);
-const ADAPTIVE: Cost = cost(0.0, 0.0, 1.25, 0.0);
-/// Areas below which fits need steps of their own. In whole images they take three times as long for a marker
-/// of 14 px² as for one of 24 px²; in windows four times for 7 px² as for 14 px².
-const SMALL_PX2: f64 = 24.0;
-const SMALL_IN_WINDOWS_PX2: f64 = 14.0;
+const RAYS: Cost = cost(0.0, 0.0, 1.31, 0.0);
+const DISC_BIAS: Cost = cost(0.0, 0.0, 3.46, 0.0);
+const PRESSURE: Cost = cost(0.0, 0.0, 0.82, 0.0);
+const ADAPTIVE: Cost = cost(0.0, 0.0, 1.26, 0.0);
 
 /// Work of searching a whole view.
 pub(super) fn whole(params: &DetectParams, rung: DetectRung, size: &ViewSize) -> u64 {
