@@ -47,8 +47,8 @@ fn process(pipeline: &mut Pipeline, [left, right]: &Pair, frame: &mut Frame) -> 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(5))]
 
-    /// The centres differ by less than their own standard deviation, as those of a square print. (Where motion
-    /// reverses within a frame, up to one marker in 200 may be missed in its window, on any print.)
+    /// The centres differ by less than their own standard deviation, as those of a square print. (Where
+    /// motion reverses within a frame, up to one marker in 200 may be missed in its window, on any print.)
     #[test]
     fn presses_are_followed_in_windows_as_in_the_whole_image(
         forward in any::<bool>(), x in -3.0..3.0_f64, y in -3.0..3.0_f64, most_mm in 0.3..1.3_f64,
@@ -56,7 +56,8 @@ proptest! {
     ) {
         let mut simulator = Simulator::new(&scene(forward), None).unwrap();
         let (whole, windows) = (params(Search::Whole), params(Search::Windows));
-        let mut pipelines = [&whole, &windows].map(|params| Pipeline::new(&Scene::default_rig(), params).unwrap());
+        let rig = Scene::default_rig();
+        let mut pipelines = [&whole, &windows].map(|params| Pipeline::new(&rig, params).unwrap());
         let (mut truth, mut frames) = (Truth::default(), [Frame::default(), Frame::default()]);
         let above = Pose::from_translation_mm(DVec3::new(4.0 + x, y, 40.0));
         for n in 0..7_u32 {
@@ -71,8 +72,9 @@ proptest! {
             prop_assert_eq!(process(whole, &pair, a), WHOLE);
             prop_assert_eq!(process(near, &pair, b), if n == 0 { WHOLE } else { WINDOWS }, "frame {}", n);
             prop_assert_eq!(&a.state, &b.state);
-            let views = [(&a.left_px, &b.left_px, &truth.left_px), (&a.right_px, &b.right_px, &truth.right_px)];
-            for (whole_px, near_px, truth_px) in views {
+            let [left, right] =
+                [(&a.left_px, &b.left_px, &truth.left_px), (&a.right_px, &b.right_px, &truth.right_px)];
+            for (whole_px, near_px, truth_px) in [left, right] {
                 for ((whole_px, near_px), truth_px) in whole_px.iter().zip(near_px).zip(truth_px) {
                     prop_assert!(whole_px.distance(*near_px) <= windows.detect.centre_sigma_px);
                     prop_assert!(near_px.distance(*truth_px) < 1.0, "frame {}: a name is wrong", n);
