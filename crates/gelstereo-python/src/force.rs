@@ -7,6 +7,7 @@ use crate::errors::raise;
 use crate::moved::GivenMarkers;
 use crate::params::Params;
 use gelstereo_core::force as core;
+use gelstereo_core::lattice::Topology;
 use gelstereo_core::math::DVec3;
 use pyo3::prelude::*;
 use std::sync::{Mutex, PoisonError};
@@ -102,7 +103,7 @@ impl Wrench {
 /// Parameters
 /// ----------
 /// rest : RestSurface
-///     Of a square lattice, row by row.
+///     Of a square or hexagonal lattice (``lattice.layout``), row by row.
 /// params : Params
 ///     Its table ``force`` is used: ``method`` ``"ridge"`` or ``"bounded"``, ``thickness_mm`` and
 ///     ``young_kpa``.
@@ -118,7 +119,7 @@ impl Wrench {
 /// ParamsError
 ///     If a setting is missing or not valid.
 /// ContactError
-///     If the markers are not a square lattice, a list has another length, or the compliance is of another
+///     If the markers are not such a lattice, a list has another length, or the compliance is of another
 ///     gel or lattice.
 #[pyclass(frozen, module = "gelstereo")]
 pub struct ForceEstimator {
@@ -138,10 +139,11 @@ impl ForceEstimator {
     ) -> PyResult<Self> {
         let covariance_mm2 = Numbers::new(covariance_mm2, "covariance_mm2")?;
         let covariance_mm2 = covariance_mm2.matrices()?;
-        let made = core::ForceEstimator::with_compliance(
+        let topology = Topology::of(params.inner.lattice.layout, cols.0, rest.core().points_mm());
+        let made = core::ForceEstimator::on(
             &params.inner.force,
             rest.core(),
-            cols.0,
+            topology,
             covariance_mm2,
             compliance.map(|compliance| compliance.core().clone()),
         );

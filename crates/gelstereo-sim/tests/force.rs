@@ -6,14 +6,15 @@ use gelstereo_core::contact::RestSurface;
 use gelstereo_core::force::{
     Compliance, ComplianceError, ComplianceGel, ForceError, ForceEstimator, MovedMarkers, Wrench,
 };
+use gelstereo_core::lattice::Topology;
 use gelstereo_core::layer::{Influence, Layer};
 use gelstereo_core::math::linalg::Symmetric;
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::math::{DMat3, DVec2, DVec3, so3};
-use gelstereo_core::params::{ForceMethod, ForceParams};
+use gelstereo_core::params::{ForceMethod, ForceParams, PrintLayout};
 use gelstereo_core::track::MarkerState;
 use gelstereo_sim::effects::{Effects, ElasticLayer};
-use gelstereo_sim::{ContactState, Loads, Scene, Shape, Truth};
+use gelstereo_sim::{ContactState, Gel, Loads, Scene, Shape, Truth};
 use proptest::prelude::*;
 
 /// Standard deviations of the markers: across and along the line of sight.
@@ -28,6 +29,7 @@ struct Case {
     state: Vec<MarkerState>,
     patch: Vec<bool>,
     cols: usize,
+    layout: PrintLayout,
     params: ForceParams,
     loads: Loads,
 }
@@ -58,6 +60,7 @@ impl Case {
         }
         Self {
             cols: scene.gel.cols,
+            layout: scene.gel.layout,
             covariance_mm2: vec![diagonal(SIGMA_MM); rest.points_mm.len()],
             state: vec![MarkerState::Seen; rest.points_mm.len()],
             rest_mm: rest.points_mm,
@@ -70,8 +73,9 @@ impl Case {
 
     fn estimator(&self) -> ForceEstimator {
         let none = vec![diagonal([1e-6; 3]); self.rest_mm.len()];
-        ForceEstimator::new(&self.params, &RestSurface::new(&self.rest_mm).unwrap(), self.cols, &none)
-            .unwrap()
+        let rest = RestSurface::new(&self.rest_mm).unwrap();
+        let topology = Topology::of(self.layout, self.cols, &self.rest_mm);
+        ForceEstimator::on(&self.params, &rest, topology, &none, None).unwrap()
     }
 
     fn moved(&self) -> MovedMarkers<'_> {
@@ -101,7 +105,7 @@ impl Case {
     }
 }
 
-/// A press with shear and twist of a ball or a lying cylinder.
+/// A press with shear and twist of a ball or a lying cylinder, on a square or hexagonal print.
 fn contacts() -> impl Strategy<Value = (Scene, ContactState)> {
     let shape = prop_oneof![
         (2.0..7.0_f64).prop_map(|radius_mm| Shape::Sphere { radius_mm }),
@@ -110,11 +114,11 @@ fn contacts() -> impl Strategy<Value = (Scene, ContactState)> {
     ];
     let lateral = (-0.15..0.15_f64, -0.15..0.15_f64, -0.05..0.05_f64);
     let offset = (-2.5..2.5_f64, -2.5..2.5_f64);
-    let gel = (2.5..5.0_f64, 0.44..0.5_f64, 0.2..1.0_f64);
+    let gel = (2.5..5.0_f64, 0.44..0.5_f64, 0.2..1.0_f64, any::<[bool; 2]>());
     (shape, gel, 0.2..0.7_f64, lateral, offset, -3.0..3.0_f64).prop_map(
         |(
             shape,
-            (thickness_mm, poisson_ratio, friction),
+            (thickness_mm, poisson_ratio, friction, [is_hexagonal, odd_rows_forward]),
             depth_mm,
             (x, y, twist_rad),
             (right, down),
@@ -124,6 +128,10 @@ fn contacts() -> impl Strategy<Value = (Scene, ContactState)> {
             let effects = Effects { elastic_layer: Some(layer), ..Effects::default() };
             let mut scene = with_effects(shape.clone(), effects);
             scene.gel.thickness_mm = thickness_mm;
+            if is_hexagonal {
+                let layout = PrintLayout::Hexagonal;
+                scene.gel = Gel { rows: 28, cols: 24, layout, odd_rows_forward, ..scene.gel };
+            }
             let upright =
                 if matches!(shape, Shape::Sphere { .. }) { 0.0 } else { core::f64::consts::FRAC_PI_2 };
             let rotation = so3::log(so3::exp(DVec3::Z * turn) * so3::exp(DVec3::Y * upright));
@@ -322,6 +330,8 @@ proptest! {
     /// entries.
     #[test]
     fn a_matrix_of_the_layer_gives_the_same_wrench((scene, contact) in contacts(), seed in any::<u64>()) {
+        let gel = Gel { rows: 25, cols: 25, layout: PrintLayout::Square, ..scene.gel };
+        let scene = Scene { gel, ..scene };
         let case = Case::new(&scene, &contact, Some(seed));
         let (expected_kpa, expected) = case.run();
         let none = vec![diagonal([1e-6; 3]); case.rest_mm.len()];
@@ -354,4 +364,17 @@ proptest! {
         };
         prop_assert!(matches!(estimator(&resultant, made).unwrap_err(), ForceError::Params(_)));
     }
+}
+
+#[test]
+fn a_matrix_is_of_a_square_print() {
+    let case = ball();
+    let matrix = matrix(&case, case.estimator().pitch_mm());
+    let gel = Gel { rows: 10, cols: 9, layout: PrintLayout::Hexagonal, ..Gel::default() };
+    let at = |i: usize| gel.marker_mm(i / 9, i % 9).extend(gel.surface_mm);
+    let rest_mm: Vec<DVec3> = (0..90).map(at).collect();
+    let topology = Topology::of(gel.layout, 9, &rest_mm);
+    let (rest, none) = (RestSurface::new(&rest_mm).unwrap(), vec![diagonal([1e-6; 3]); 90]);
+    let refused = ForceEstimator::on(&case.params, &rest, topology, &none, Some(matrix)).unwrap_err();
+    assert!(refused.to_string().contains("lattice.layout = \"square\""), "{refused}");
 }

@@ -1,5 +1,6 @@
 //! Cells of a contact, and the markers around them.
 
+use super::grid::Grid;
 use alloc::vec::Vec;
 
 /// Largest number of blocks, which have three unknown tractions each. Larger contacts have the same traction
@@ -7,9 +8,11 @@ use alloc::vec::Vec;
 /// development half of the FEM contacts of bench/outside, and the largest of them takes 0.6, 2.1 and 3.2 ms.
 pub(super) const MAX_BLOCKS: usize = 64;
 
-/// The square around a marker.
+/// The square around a marker, or the rectangle of a hexagonal print.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Cell {
+    pub marker: usize,
+    /// Its place on the grid.
     pub row: usize,
     pub col: usize,
     /// Which traction it has.
@@ -18,8 +21,8 @@ pub(super) struct Cell {
 
 const NONE: u32 = u32::MAX;
 
-/// Cells that a contact may load: those of its markers and their eight neighbours, since the part touches
-/// gel between the markers too.
+/// Cells that a contact may load: those of its markers and their eight neighbours, or six of a hexagonal
+/// print, since the part touches gel between the markers too.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Cells {
     pub cells: Vec<Cell>,
@@ -43,14 +46,19 @@ impl Cells {
     }
 
     /// Selects the cells of a patch. Returns whether there are any.
-    pub fn choose(&mut self, patch: &[bool], cols: usize) -> bool {
-        let rows = patch.len() / cols;
+    pub fn choose(&mut self, patch: &[bool], grid: &Grid) -> bool {
+        let (rows, cols) = (grid.topology.rows(), grid.topology.cols());
         self.is_loaded.clear();
         self.is_loaded.resize(patch.len(), false);
         self.is_cut = false;
         for (n, _) in patch.iter().enumerate().filter(|&(_, &in_patch)| in_patch) {
             let (row, col) = (n / cols, n % cols);
             self.is_cut |= row == 0 || col == 0 || row + 1 == rows || col + 1 == cols;
+            if grid.topology.is_hexagonal() {
+                self.is_loaded[n] = true;
+                grid.topology.neighbours(n).for_each(|beside| self.is_loaded[beside] = true);
+                continue;
+            }
             for row in row.saturating_sub(1)..(row + 2).min(rows) {
                 for col in col.saturating_sub(1)..(col + 2).min(cols) {
                     self.is_loaded[row * cols + col] = true;
@@ -58,41 +66,39 @@ impl Cells {
             }
         }
         let mut side = 1;
-        while self.divide(cols, side) > MAX_BLOCKS {
+        while self.divide(grid, side) > MAX_BLOCKS {
             side += 1;
         }
         self.blocks > 0
     }
 
     /// Divides the loaded cells into blocks of this many rows and columns; returns their number.
-    fn divide(&mut self, cols: usize, side: usize) -> usize {
+    fn divide(&mut self, grid: &Grid, side: usize) -> usize {
+        let cols = grid.topology.cols();
         let Self { cells, blocks, is_loaded, block_of, .. } = self;
         cells.clear();
         block_of.clear();
         block_of.resize(is_loaded.len(), NONE);
         *blocks = 0;
         for (n, _) in is_loaded.iter().enumerate().filter(|&(_, &is_loaded)| is_loaded) {
-            let (row, col) = (n / cols, n % cols);
-            let block = &mut block_of[row / side * cols + col / side];
+            let block = &mut block_of[n / cols / side * cols + n % cols / side];
             if *block == NONE {
                 *block = *blocks as u32;
                 *blocks += 1;
             }
-            cells.push(Cell { row, col, block: *block as usize });
+            let (row, col) = grid.place(n);
+            cells.push(Cell { marker: n, row, col, block: *block as usize });
         }
         *blocks
     }
 
     /// Lists the markers of which the nearest cell is within this distance.
-    pub fn surround(&mut self, cols: usize, reach_cells: f64) {
+    pub fn surround(&mut self, grid: &Grid, reach_pitches: f64) {
         let Self { cells, near, is_loaded, .. } = self;
-        let reach2 = reach_cells * reach_cells;
+        let reach2 = reach_pitches * reach_pitches;
         let is_near = |n: &usize| {
-            let (row, col) = (n / cols, n % cols);
-            cells.iter().any(|cell| {
-                let (down, along) = (cell.row.abs_diff(row), cell.col.abs_diff(col));
-                (down * down + along * along) as f64 <= reach2
-            })
+            let place = grid.place(*n);
+            cells.iter().any(|cell| grid.distance2((cell.row, cell.col), place) <= reach2)
         };
         near.clear();
         near.extend((0..is_loaded.len()).filter(is_near));
@@ -114,7 +120,7 @@ mod tests {
             let mut random = crate::math::random::Stream::new(seed, "patch");
             let patch: Vec<bool> = (0..rows * cols).map(|_| random.uniform() < share).collect();
             let mut cells = Cells::default();
-            let any = cells.choose(&patch, cols);
+            let any = cells.choose(&patch, &Grid::square(rows, cols, 1.0));
             prop_assert_eq!(any, patch.contains(&true));
             prop_assert!(cells.blocks <= MAX_BLOCKS);
             for (row, col) in (0..rows).flat_map(|row| (0..cols).map(move |col| (row, col))) {

@@ -6,12 +6,14 @@ use super::cone::project;
 use super::equations::{Equations, Gel};
 use super::error::ForceError;
 use super::evidence::{Posterior, Variances};
-use super::fit::{check_compliance, square_lattice};
+use super::fit::check_compliance;
 use super::gel_error::GelError;
+use super::grid::Grid;
 use super::moved::MovedMarkers;
 use super::resultant::{Place, Stiffness, spread};
 use super::wrench::Wrench;
 use crate::contact::RestSurface;
+use crate::lattice::Topology;
 use crate::layer::{FreeSides, Influence, Layer, N_PER_KPA_MM2};
 use crate::math::linalg::Symmetric;
 use crate::math::{DVec3, sqrt};
@@ -81,8 +83,7 @@ pub struct ForceEstimator {
     rest_covariance_mm2: Vec<Symmetric<3>>,
     /// Into the layer (towards the camera), along rows, along columns.
     axes: [DVec3; 3],
-    cols: usize,
-    pitch_mm: f64,
+    grid: Grid,
     cells: Cells,
     equations: Equations,
     posterior: Posterior,
@@ -122,6 +123,21 @@ impl ForceEstimator {
         rest_covariance_mm2: &[Symmetric<3>],
         compliance: Option<Compliance>,
     ) -> Result<Self, ForceError> {
+        let rows = rest.points_mm().len().checked_div(cols).unwrap_or(0);
+        Self::on(params, rest, Topology::square(rows, cols), rest_covariance_mm2, compliance)
+    }
+
+    /// As [`Self::with_compliance`], for a print that may be hexagonal.
+    ///
+    /// # Errors
+    /// As [`Self::with_compliance`]; [`ForceError::Params`] for the matrix of a hexagonal print.
+    pub fn on(
+        params: &ForceParams,
+        rest: &RestSurface,
+        topology: Topology,
+        rest_covariance_mm2: &[Symmetric<3>],
+        compliance: Option<Compliance>,
+    ) -> Result<Self, ForceError> {
         params.validate().map_err(ForceError::Params)?;
         let stiffness = stiffness(params);
         // Forces by stiffness do not depend on the modulus.
@@ -132,16 +148,15 @@ impl ForceEstimator {
             let (setting, required) = ("a wrench", "force.method other than \"none\"");
             return Err(ForceError::Params(ParamsError::Requires { setting, required }));
         };
-        let (axes, pitch_mm) = square_lattice(rest.points_mm(), rest.normal(), cols)?;
-        let markers = rest.points_mm().len();
-        check_length(markers, rest_covariance_mm2.len())?;
-        let counts = [cols, markers / cols];
+        let (axes, grid) = Grid::of(rest.points_mm(), rest.normal(), topology)?;
+        check_length(rest.points_mm().len(), rest_covariance_mm2.len())?;
+        let (counts, pitch_mm) = (grid.counts(), grid.pitch_mm);
         let layer = Layer { thickness_mm, poisson_ratio: params.poisson_ratio };
-        check_compliance(params, compliance.as_ref(), counts, pitch_mm, &layer)?;
+        check_compliance(params, compliance.as_ref(), &grid, &layer)?;
         let rim_mm = params.rim_mm.filter(|mm| *mm <= MAX_RIM_PITCHES * pitch_mm);
         let sides = match &compliance {
             Some(compliance) => Some(compliance.sides(MAX_RIM_PITCHES)),
-            None => rim_mm.map(|mm| FreeSides::new(counts, [pitch_mm; 2], [mm; 2])),
+            None => rim_mm.map(|mm| FreeSides::new(counts, grid.step_mm(), [mm; 2])),
         };
         let side = match (&stiffness, &sides) {
             (Some(_), _) => 1,
@@ -152,15 +167,14 @@ impl ForceEstimator {
             params: params.clone(),
             stiffness,
             young_kpa,
-            influence: Influence::new(&layer, [pitch_mm; 2], if compliance.is_some() { 1 } else { side }),
+            influence: grid.influence(&layer, if compliance.is_some() { 1 } else { side }),
             sides,
             compliance,
             thickness_mm,
             rest: rest.clone(),
             rest_covariance_mm2: rest_covariance_mm2.to_vec(),
             axes,
-            cols,
-            pitch_mm,
+            grid,
             cells: Cells::default(),
             equations: Equations::default(),
             posterior: Posterior::default(),
@@ -170,7 +184,7 @@ impl ForceEstimator {
             gel_errors: if stiffness.is_some() {
                 Vec::new()
             } else {
-                GelError::all(params, &layer, pitch_mm, side)
+                GelError::all(params, &layer, &grid, side)
             },
         };
         made.reserve();
@@ -186,7 +200,7 @@ impl ForceEstimator {
     /// Pitch of the lattice, millimetres.
     #[must_use]
     pub const fn pitch_mm(&self) -> f64 {
-        self.pitch_mm
+        self.grid.pitch_mm
     }
 
     /// Predicted work of the next frame, in units of 1000 instructions: that of a contact as large as the
@@ -236,7 +250,7 @@ impl ForceEstimator {
         }
         traction_kpa.clear();
         traction_kpa.resize(markers, DVec3::ZERO);
-        if !self.cells.choose(patch, self.cols) {
+        if !self.cells.choose(patch, &self.grid) {
             self.variances = None;
             return Ok(None);
         }
@@ -245,7 +259,7 @@ impl ForceEstimator {
             let place = Place {
                 rest: &self.rest,
                 axes: &self.axes,
-                pitch_mm: self.pitch_mm,
+                sides_mm: self.grid.sides_mm,
                 near: &self.cells.near,
                 is_cut: self.cells.is_cut,
             };
@@ -266,7 +280,7 @@ impl ForceEstimator {
             project(&mut self.posterior, self.params.friction);
         }
         for cell in &self.cells.cells {
-            traction_kpa[cell.row * self.cols + cell.col] = self.traction(cell.block) * self.young_kpa;
+            traction_kpa[cell.marker] = self.traction(cell.block) * self.young_kpa;
         }
         Ok(Some(wrench))
     }
@@ -291,16 +305,16 @@ impl ForceEstimator {
         if self.stiffness.is_some() || self.cells.blocks != self.cells.cells.len() {
             return Ok(());
         }
-        let pressure_kpa = |cell: &Cell| traction_kpa[cell.row * self.cols + cell.col].dot(self.axes[0]);
+        let pressure_kpa = |cell: &Cell| traction_kpa[cell.marker].dot(self.axes[0]);
         let largest_kpa = self.cells.cells.iter().map(pressure_kpa).fold(0.0, f64::max);
         for cell in self.cells.cells.iter().filter(|cell| pressure_kpa(cell) > PRESSED * largest_kpa) {
-            out[cell.row * self.cols + cell.col] = true;
+            out[cell.marker] = true;
         }
         Ok(())
     }
 
     fn surround(&mut self) {
-        self.cells.surround(self.cols, REACH * self.thickness_mm / self.pitch_mm);
+        self.cells.surround(&self.grid, REACH * self.thickness_mm / self.grid.pitch_mm);
     }
 
     /// Collects the equations of the seen markers around the contact.
@@ -309,7 +323,7 @@ impl ForceEstimator {
         self.equations.clear(3 * self.cells.blocks);
         for &n in self.cells.near.iter().filter(|&&n| moved.state[n] == MarkerState::Seen) {
             let (motion_mm, covariance_mm2) = self.motion(moved, n);
-            let place = (n / self.cols, n % self.cols);
+            let place = self.grid.place(n);
             let gel = gel(&self.influence, self.sides.as_ref(), self.compliance.as_ref());
             self.equations.add(gel, &self.cells, place, motion_mm, &covariance_mm2);
         }
@@ -350,7 +364,7 @@ impl ForceEstimator {
                         gel(&error.derivative, self.sides.as_ref(), None),
                     ),
                     &self.cells,
-                    (n / self.cols, n % self.cols),
+                    self.grid.place(n),
                     (motion_mm, &covariance_mm2),
                     &self.posterior.x,
                     &mut error.right,
@@ -377,7 +391,7 @@ impl ForceEstimator {
 
     /// From the point of reference to a cell.
     fn arm_mm(&self, cell: &Cell) -> DVec3 {
-        self.rest.points_mm()[cell.row * self.cols + cell.col] - self.rest.centre_mm()
+        self.rest.points_mm()[cell.marker] - self.rest.centre_mm()
     }
 
     /// Traction of a block in the sensor frame, in units of Young's modulus.
@@ -401,7 +415,7 @@ impl ForceEstimator {
 
     /// `model_share` is added to the uncertainty of pressures and, apart from these, of shears.
     fn wrench(&mut self, model_share: f64) -> Wrench {
-        let scale = self.young_kpa * N_PER_KPA_MM2 * self.pitch_mm * self.pitch_mm;
+        let scale = self.young_kpa * N_PER_KPA_MM2 * self.grid.sides_mm[0] * self.grid.sides_mm[1];
         // Wrenches of the pressures and of the shears.
         let mut parts = [[0.0; 6]; 2];
         let (mut pressing_n, mut moment_nmm) = (0.0, DVec3::ZERO);

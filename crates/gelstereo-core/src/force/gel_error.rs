@@ -1,5 +1,6 @@
 //! Error of the wrench because a number of the gel is not known exactly.
 
+use super::grid::Grid;
 use crate::layer::{Influence, Layer};
 use crate::params::ForceParams;
 use alloc::vec::Vec;
@@ -26,8 +27,8 @@ impl GelError {
     pub const MOST: usize = 2;
 
     /// Those that the settings state.
-    pub fn all(params: &ForceParams, layer: &Layer, pitch_mm: f64, side: usize) -> Vec<Self> {
-        let influence = |layer: Layer| Influence::new(&layer, [pitch_mm; 2], side);
+    pub fn all(params: &ForceParams, layer: &Layer, grid: &Grid, side: usize) -> Vec<Self> {
+        let influence = |layer: Layer| grid.influence(&layer, side);
         let made = |sigma: f64, [low, high]: [Layer; 2], step: f64| Self {
             sigma,
             derivative: difference(&influence(low), &influence(high), step),

@@ -24,6 +24,7 @@ mod estimator;
 mod evidence;
 mod fit;
 mod gel_error;
+mod grid;
 mod moved;
 mod resultant;
 mod wrench;

@@ -33,7 +33,8 @@ pub(super) struct Place<'a> {
     pub rest: &'a RestSurface,
     /// Into the layer, along rows, along columns.
     pub axes: &'a [DVec3; 3],
-    pub pitch_mm: f64,
+    /// Sides of the rectangle around a marker.
+    pub sides_mm: [f64; 2],
     /// Markers under and around the contact.
     pub near: &'a [usize],
     pub is_cut: bool,
@@ -41,14 +42,14 @@ pub(super) struct Place<'a> {
 
 impl Stiffness {
     /// The wrench of this motion; `None` unless a marker of the contact is seen. Each marker stands for the
-    /// square around it and acts like a spring. The covariances of the rest positions are added.
+    /// square or rectangle around it and acts like a spring. The covariances of the rest positions are added.
     pub fn wrench(
         &self,
         place: &Place<'_>,
         moved: &MovedMarkers<'_>,
         rest_covariance_mm2: &[Symmetric<3>],
     ) -> Option<Wrench> {
-        let Place { rest, axes, pitch_mm, near, is_cut } = *place;
+        let Place { rest, axes, sides_mm, near, is_cut } = *place;
         let is_seen = |n: &usize| moved.state[*n] == MarkerState::Seen;
         let seen = |in_patch: bool| near.iter().filter(move |&&n| moved.patch[n] == in_patch);
         // Those that are not seen move like the others.
@@ -60,7 +61,7 @@ impl Stiffness {
             return None;
         }
         let Pressure { centre_mm, radius_mm } = Pressure::of(place, moved);
-        let area_mm2 = pitch_mm * pitch_mm;
+        let area_mm2 = sides_mm[0] * sides_mm[1];
         let along = DMat3::from_cols(axes[0], axes[1], axes[2]);
         let spring = |of_axes: DVec3| along * DMat3::from_diagonal(of_axes) * along.transpose();
         let centre = so3::hat(centre_mm - rest.centre_mm());
@@ -147,7 +148,8 @@ impl Pressure {
             place.near.iter().map(|&n| height_mm(n, place, moved) * of(n)).sum::<f64>()
         };
         let total = sum(&|_| 1.0);
-        let of_square = place.pitch_mm * place.pitch_mm / 6.0;
+        let [width_mm, height_mm] = place.sides_mm;
+        let of_square = (width_mm * width_mm + height_mm * height_mm) / 12.0;
         if total <= 0.0 {
             return Self { centre_mm: place.rest.centre_mm(), radius_mm: sqrt(of_square) };
         }
@@ -189,7 +191,7 @@ pub(super) fn spread(
     let height = |n: usize| height_mm(n, place, moved);
     let sum: f64 = place.near.iter().map(|&n| height(n)).sum();
     if sum > 0.0 {
-        let scale = 1.0 / (crate::layer::N_PER_KPA_MM2 * place.pitch_mm * place.pitch_mm * sum);
+        let scale = 1.0 / (crate::layer::N_PER_KPA_MM2 * place.sides_mm[0] * place.sides_mm[1] * sum);
         place.near.iter().for_each(|&n| traction_kpa[n] = wrench.force_n * (scale * height(n)));
     }
 }

@@ -29,10 +29,17 @@ pub struct Influence {
 impl Influence {
     /// For cells of sides `cell_mm` along x and y and offsets of up to `side` cells.
     pub fn new(layer: &Layer, cell_mm: [f64; 2], side: usize) -> Self {
-        let mut influence = Self::of_half_space(layer, cell_mm, side);
-        let rest = Radials::new(layer, cell_mm, side);
+        Self::overlapping(layer, cell_mm, [1, 1], side)
+    }
+
+    /// As [`Self::new`], for offsets in steps of `step_mm` and cells of `steps` of them: of two, cells at
+    /// neighbouring offsets overlap by half.
+    pub fn overlapping(layer: &Layer, step_mm: [f64; 2], steps: [usize; 2], side: usize) -> Self {
+        let cell_mm = [0, 1].map(|axis| step_mm[axis] * steps[axis] as f64);
+        let mut influence = Self::of_half_space(layer, step_mm, steps, side);
+        let rest = Radials::new(layer, cell_mm, side as f64 * step_mm[0].max(step_mm[1]));
         for (i, (row, col)) in (0..side).flat_map(|row| (0..side).map(move |col| (row, col))).enumerate() {
-            let (x, y) = (col as f64 * cell_mm[0], row as f64 * cell_mm[1]);
+            let (x, y) = (col as f64 * step_mm[0], row as f64 * step_mm[1]);
             for [aside, down] in squares(cell_mm) {
                 influence.add(i, (x + aside, y + down), &rest);
             }
@@ -54,17 +61,19 @@ impl Influence {
         self.across[i] -= split * double_sine;
     }
 
-    fn of_half_space(layer: &Layer, cell_mm: [f64; 2], side: usize) -> Self {
+    fn of_half_space(layer: &Layer, step_mm: [f64; 2], steps: [usize; 2], side: usize) -> Self {
         let nu = layer.poisson_ratio;
-        let corners: Vec<[f64; 5]> = (0..(side + 1) * (side + 1))
+        let [width, height] = steps.map(|steps| side + steps);
+        let corners: Vec<[f64; 5]> = (0..width * height)
             .map(|i| {
-                let corner = |n: usize, axis: usize| (n as f64 - 0.5) * cell_mm[axis];
-                integrals(corner(i % (side + 1), 0), corner(i / (side + 1), 1))
+                let corner = |n: usize, axis: usize| (n as f64 - 0.5 * steps[axis] as f64) * step_mm[axis];
+                integrals(corner(i % width, 0), corner(i / width, 1))
             })
             .collect();
         let over_cell = |row: usize, col: usize| {
-            let at = |row: usize, col: usize| corners[row * (side + 1) + col];
-            let [a, b, c, d] = [at(row, col), at(row, col + 1), at(row + 1, col), at(row + 1, col + 1)];
+            let at = |row: usize, col: usize| corners[row * width + col];
+            let (right, below) = (col + steps[0], row + steps[1]);
+            let [a, b, c, d] = [at(row, col), at(row, right), at(below, col), at(below, right)];
             // Rows and columns round alike.
             let along_x = [0, 1, 2, 3, 4].map(|n| (d[n] - b[n]) - (c[n] - a[n]));
             [along_x, [0, 1, 2, 3, 4].map(|n| (d[n] - c[n]) - (b[n] - a[n]))]
@@ -91,13 +100,16 @@ impl Influence {
 /// Integrals over the rectangle from the origin to (x, y) of x²/r³, y²/r³, xy/r³, x/r² and y/r².
 fn integrals(x: f64, y: f64) -> [f64; 5] {
     let r2 = x * x + y * y;
+    // An edge of a cell may lie above the point, where the quotient is not finite and the product 0.
+    let over = |a: f64, b: f64| if a == 0.0 { 0.0 } else { a * asinh(b / a.abs()) };
+    let angle = |a: f64, b: f64| if a == 0.0 { 0.0 } else { a * atan(b / a) };
     [
-        y * asinh(x / y.abs()),
-        x * asinh(y / x.abs()),
+        over(y, x),
+        over(x, y),
         // Without terms that cancel over the four corners of a cell.
         -sqrt(r2),
-        0.5 * y * ln(r2) + x * atan(y / x),
-        0.5 * x * ln(r2) + y * atan(x / y),
+        0.5 * y * ln(r2) + angle(x, y),
+        0.5 * x * ln(r2) + angle(y, x),
     ]
 }
 
@@ -143,9 +155,8 @@ const POINTS: usize = 10;
 const STEP: f64 = 0.045;
 
 impl Radials {
-    /// For offsets of up to `side` cells along both axes.
-    fn new(layer: &Layer, cell_mm: [f64; 2], side: usize) -> Self {
-        let reach_mm = side as f64 * cell_mm[0].max(cell_mm[1]);
+    /// For offsets of up to this length along both axes.
+    fn new(layer: &Layer, cell_mm: [f64; 2], reach_mm: f64) -> Self {
         let hankel = Hankel::new(layer, cell_mm, reach_mm);
         let step_mm = STEP * layer.thickness_mm;
         let count = ceil(core::f64::consts::SQRT_2 * reach_mm / step_mm) as usize + POINTS;
@@ -242,7 +253,7 @@ mod tests {
             let layer = Layer { thickness_mm, poisson_ratio: 0.48 };
             let reach_mm = side as f64 * cell_mm;
             let (radials, hankel) =
-                (Radials::new(&layer, [cell_mm; 2], side), Hankel::new(&layer, [cell_mm; 2], reach_mm));
+                (Radials::new(&layer, [cell_mm; 2], reach_mm), Hankel::new(&layer, [cell_mm; 2], reach_mm));
             let all = |Radial { normal, cross, mean, split }: Radial| [normal, cross, mean, split];
             let scale = all(hankel.at(0.0)).into_iter().fold(0.0, |largest: f64, x| largest.max(x.abs()));
             for k in 0..400 {
@@ -250,6 +261,32 @@ mod tests {
                 for (found, expected) in all(radials.at(r_mm)).into_iter().zip(all(hankel.at(r_mm))) {
                     assert!((found - expected).abs() < 1e-12 * scale, "{r_mm}: {found} {expected}");
                 }
+            }
+        }
+    }
+
+    /// A cell of three steps is three cells of one beside each other, and one of two is that of a table with
+    /// half as many offsets. The remainder's Gaussian approximation leaves 2e-5 of it.
+    #[test]
+    fn overlapping_cells_are_sums_of_cells() {
+        let layer = Layer { thickness_mm: 2.0, poisson_ratio: 0.48 };
+        let (step_mm, side) = ([0.25, 0.4], 12);
+        let single = Influence::new(&layer, step_mm, side + 1);
+        let three = Influence::overlapping(&layer, step_mm, [3, 1], side);
+        let two = Influence::overlapping(&layer, step_mm, [2, 1], side);
+        let wide = Influence::new(&layer, [0.5, 0.4], side);
+        let scale = single.normal[0];
+        let close = |found: [[f64; 3]; 3], expected: [[f64; 3]; 3]| {
+            let pairs = found.iter().flatten().zip(expected.iter().flatten());
+            pairs.for_each(|(a, b)| assert!((a - b).abs() < 1e-4 * scale, "{a} {b}"));
+        };
+        for (row, col) in (0..side as isize).flat_map(|row| (0..side as isize).map(move |col| (row, col))) {
+            let beside = [-1, 0, 1].map(|k| single.effect(col + k, row));
+            let sum =
+                core::array::from_fn(|i| core::array::from_fn(|k| beside.iter().map(|e| e[i][k]).sum()));
+            close(three.effect(col, row), sum);
+            if col % 2 == 0 {
+                close(two.effect(col, row), wide.effect(col / 2, row));
             }
         }
     }

@@ -26,8 +26,8 @@ pub enum PrintLayout {
 )]
 pub struct LatticeParams {
     /// How the markers stand beside each other; a rest frame of another layout is refused. Default: `square`.
-    /// Change it for a print whose markers have six neighbours; those need `label.method = lattice` and
-    /// `force.method = none`.
+    /// Change it for a print whose markers have six neighbours; those need
+    /// `label.method = lattice`.
     pub layout: PrintLayout,
     /// Markers from top to bottom; a rest frame with another number is refused. Valid: 2 to 1000 markers.
     /// Default: none, they are counted. Set it where the print is known, so that a covered border is found

@@ -125,9 +125,6 @@ impl Params {
             PrintLayout::Hexagonal if self.label.method != LabelMethod::Lattice => {
                 requires("label.method = \"lattice\"")
             }
-            PrintLayout::Hexagonal if self.force.method != ForceMethod::None => {
-                requires("force.method = \"none\"")
-            }
             PrintLayout::Hexagonal => Ok(()),
         }
     }

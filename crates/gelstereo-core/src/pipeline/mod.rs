@@ -351,7 +351,7 @@ impl Pipeline {
         let skin = skin.map_err(PipelineError::Contact)?;
         let (asked, surface) = (&self.params.force, skin.as_ref().map_or(&rest, Skin::rest));
         let force = (asked.method != ForceMethod::None)
-            .then(|| ForceEstimator::new(asked, surface, cols, &self.covariance_mm2));
+            .then(|| ForceEstimator::on(asked, surface, self.topology, &self.covariance_mm2, None));
         let force = force.transpose().map_err(PipelineError::Force)?;
         let asked = &self.params.slip;
         let slip = (asked.method != SlipMethod::None).then(|| SlipTracker::new(asked, surface, cols));
