@@ -192,3 +192,56 @@ def test_without_scipy_the_message_says_what_to_install(monkeypatch: pytest.Monk
     monkeypatch.setitem(sys.modules, "scipy", None)
     with pytest.raises(ModuleNotFoundError, match=r"compute_compliance needs scipy.*gelstereo\[fem\]"):
         compute_compliance(rows=3, cols=3, pitch_mm=1.0, thickness_mm=2.0, rim_mm=1.0)
+
+
+def of_layer(
+    rows: int, cols: int, pitch_mm: float, thickness_mm: float, poisson_ratio: float
+) -> gs.Compliance:
+    """The exact layer as a matrix. By reciprocity, motion of a marker under the load of a cell is that of the
+    cell under a load at the marker.
+    """
+    layer = gs.LayerContact(
+        thickness_mm=thickness_mm, poisson_ratio=poisson_ratio, rows=rows, cols=cols, cell_mm=pitch_mm
+    )
+    quarter = ((rows + 1) // 2, (cols + 1) // 2)
+    motion_mm = np.empty((*quarter, rows, cols, 3, 3))
+    for row, col, component in np.ndindex(*quarter, 3):
+        load = np.zeros((rows, cols, 3))
+        load[row, col, component] = 1.0
+        moved = layer.load(load[..., 0], load[..., 1:]).motion_mm[..., [2, 0, 1]]
+        motion_mm[row, col, :, :, component] = moved
+    return gs.Compliance(
+        motion_mm,
+        rows=rows,
+        cols=cols,
+        pitch_mm=pitch_mm,
+        thickness_mm=thickness_mm,
+        poisson_ratio=poisson_ratio,
+        rim_mm=(9.0, 9.0),
+    )
+
+
+def test_a_pipeline_takes_a_matrix() -> None:
+    """With that of the layer, the wrench is that of the layer. A matrix of another lattice is refused."""
+    scene = gs.Scene().replace(
+        indenter={"kind": "sphere", "radius_mm": 4.0}, effects={"elastic_layer": {"young_kpa": 120.0}}
+    )
+    sensor, pose = gs.Simulator(scene), np.eye(4)
+    pose[:3, 3] = 4.0, 0.0, 40.0
+    images = [sensor[0], sensor.press(sensor.pressed(pose, 0.8), shear_mm=(0.1, 0.0), frame=1)]
+    settings = {"method": "ridge", "thickness_mm": 5.0, "young_kpa": 120.0}
+    pressing = []
+    for compliance, stiffening in ((None, 0.0), (of_layer(25, 25, 0.9, 5.0, 0.48), 0.0), (None, 0.3)):
+        params = gs.Params.preset("fast").replace(force={**settings, "stiffening": stiffening})
+        pipeline = gs.Pipeline(scene.rig, params, compliance=compliance)
+        frames = [pipeline.process(pair.left, pair.right) for pair in images]
+        wrench = frames[1].wrench
+        assert wrench is not None
+        pressing.append(wrench.force_n)
+    assert np.linalg.norm(pressing[1] - pressing[0]) < 0.01 * np.linalg.norm(pressing[0])
+    # Stiffer by three tenths of the strain.
+    strain = frames[1].indentation_mm[frames[1].patch].max() / 5.0
+    assert np.allclose(pressing[2], (1.0 + 0.3 * strain) * pressing[0], rtol=2e-3)
+    narrow_one = gs.Pipeline(scene.rig, gs.Params.preset("fast").replace(force=settings), compliance=narrow())
+    with pytest.raises(gs.ContactError, match="the number of columns is 25, but the compliance matrix is of"):
+        narrow_one.process(images[0].left, images[0].right)

@@ -108,7 +108,13 @@ def compliance(gel: str) -> gelstereo.Compliance:
     )
 
 
-def cases(half: str | None = None, *, rim_mm: float | None = None, matrix: bool = False) -> Iterator[Case]:
+def cases(
+    half: str | None = None,
+    *,
+    rim_mm: float | None = None,
+    matrix: bool = False,
+    stiffening: float = 0.0,
+) -> Iterator[Case]:
     """All contacts of a half with at least one marker in contact, at each place of the lattice.
 
     With `rim_mm`, the gel of the estimate has free sides; with `matrix`, it is computed by finite elements.
@@ -123,7 +129,7 @@ def cases(half: str | None = None, *, rim_mm: float | None = None, matrix: bool 
         found = compliance(contact.meta["gel"]) if matrix else None
         for stage, (depth_mm, *_) in enumerate(contact.stages):
             for offset in OFFSETS_MM:
-                case = _case(contact, stage, gel, offset, rng, rim_mm, found)
+                case = _case(contact, stage, gel, offset, rng, rim_mm, found, stiffening)
                 if case is not None:
                     yield Case(contact.meta["gel"], depth_mm / gel["thickness_mm"], *case)
 
@@ -136,6 +142,7 @@ def _case(
     rng: np.random.Generator,
     rim_mm: float | None,
     matrix: gelstereo.Compliance | None,
+    stiffening: float,
 ) -> tuple[int, Array, Array, Array, float, float] | None:
     along = PITCH_MM * (np.arange(ROWS) - ROWS // 2)
     x, y = (axis.ravel() for axis in np.meshgrid(along + offset[0], along + offset[1]))
@@ -153,6 +160,7 @@ def _case(
             "thickness_mm": gel["thickness_mm"],
             "young_kpa": young_kpa,
             "poisson_ratio": gel["poisson_ratio"],
+            "stiffening": stiffening,
             **({} if rim_mm is None else {"rim_mm": rim_mm}),
         }
     )
@@ -201,10 +209,12 @@ def main() -> None:
     parser.add_argument("--half", choices=("w", "j"))
     parser.add_argument("--free-sides", action="store_true", help="with the gels' sides in the estimate")
     parser.add_argument("--compliance", action="store_true", help="with matrices by finite elements")
+    parser.add_argument("--stiffening", type=float, default=0.0, help="rise of loads by strain (%(default)s)")
     arguments = parser.parse_args()
     groups: dict[str, list[Case]] = defaultdict(list)
     rim_mm = RIM_MM if arguments.free_sides else None
-    for case in cases(arguments.half, rim_mm=rim_mm, matrix=arguments.compliance):
+    settings = {"matrix": arguments.compliance, "stiffening": arguments.stiffening}
+    for case in cases(arguments.half, rim_mm=rim_mm, **settings):
         deep = "an eighth" if case.strain <= 0.125 else "a fifth" if case.strain <= 0.2 else "a third"
         name = f"pressed to {deep} of the thickness" if case.touching >= 4 else "one to three markers"
         groups[name].append(case)

@@ -1,6 +1,7 @@
 //! The sensing pipeline.
 
 use crate::arrays::{self, Image};
+use crate::compliance::Compliance;
 use crate::contact::{RestSurface, RuleName, rule_name};
 use crate::detect::fixed_channel;
 use crate::errors::{PitchWarning, raise};
@@ -32,6 +33,9 @@ fn of_centres(py: Python<'_>, covariance_px2: &[[[f64; 2]; 2]]) -> PyResult<Py<P
 /// ----------
 /// rig : Rig
 /// params : Params, optional
+/// compliance : Compliance, optional
+///     Of the gel, for `force.method` ``"ridge"`` or ``"bounded"``. The rest frame raises a `ContactError`
+///     if it is of another lattice or gel.
 ///
 /// Raises
 /// ------
@@ -82,10 +86,16 @@ impl Pipeline {
 #[pymethods]
 impl Pipeline {
     #[new]
-    #[pyo3(signature = (rig, params=None))]
-    fn new(py: Python<'_>, rig: Py<Rig>, params: Option<&Bound<'_, Params>>) -> PyResult<Self> {
+    #[pyo3(signature = (rig, params=None, *, compliance=None))]
+    fn new(
+        py: Python<'_>,
+        rig: Py<Rig>,
+        params: Option<&Bound<'_, Params>>,
+        compliance: Option<&Compliance>,
+    ) -> PyResult<Self> {
         let params = Params::or_default(params);
         let stages = core::Pipeline::new(&rig.get().inner, &params).map_err(raise)?;
+        let stages = stages.with_compliance(compliance.map(|compliance| compliance.core().clone()));
         let channel = fixed_channel(&params.detect);
         Ok(Self {
             stages: Box::new(Mutex::new(stages)),

@@ -50,6 +50,11 @@ pub struct ForceParams {
     /// Standard deviation of `young_kpa`, which all forces share. Valid: 0 to 1000000 kPa. Default: `0` kPa.
     /// Set it to what the calibration states.
     pub young_sigma_kpa: f64,
+    /// Relative rise of the loads for each unit of strain, which is the deepest indentation over the
+    /// thickness; for `ridge` and `bounded`. Valid: 0 to 10. Default: `0`, a linear gel. Set it to 0.26 for a
+    /// neo-Hookean gel whose sides are known, by `rim_mm` or a compliance matrix, and whose modulus is
+    /// that of gentle presses.
+    pub stiffening: f64,
     /// Poisson's ratio of the gel. Valid: 0 to 0.5. Default: `0.48`, of soft silicone.
     /// Change it if it was measured.
     pub poisson_ratio: f64,
@@ -91,6 +96,7 @@ impl Default for ForceParams {
             rim_mm: None,
             young_kpa: None,
             young_sigma_kpa: 0.0,
+            stiffening: 0.0,
             poisson_ratio: 0.48,
             poisson_sigma: 0.0,
             friction: None,
@@ -117,6 +123,7 @@ impl ForceParams {
         number("force.rim_mm", self.rim_mm, 1e-3..=1e3, "0.001 to 1000 mm")?;
         number("force.young_kpa", self.young_kpa, 1e-3..=1e6, "0.001 to 1000000 kPa")?;
         number("force.young_sigma_kpa", Some(self.young_sigma_kpa), 0.0..=1e6, "0 to 1000000 kPa")?;
+        number("force.stiffening", Some(self.stiffening), 0.0..=10.0, "0 to 10")?;
         number("force.poisson_ratio", Some(self.poisson_ratio), 0.0..=0.5, "0 to 0.5")?;
         number("force.poisson_sigma", Some(self.poisson_sigma), 0.0..=0.5, "0 to 0.5")?;
         number("force.friction", self.friction, 0.0..=100.0, "0 to 100")?;

@@ -30,12 +30,12 @@ pub use skin::{Skin, SkinDepth};
 
 use crate::contact::{self, ContactDetector, ContactRule, Decay, MarkerHeights, RestSurface, StereoMismatch};
 use crate::detect::DetectError;
-use crate::force::ForceEstimator;
+use crate::force::{Compliance, ForceError, ForceEstimator};
 use crate::image::GrayView;
 use crate::lattice::Topology;
 use crate::math::linalg::Symmetric;
 use crate::math::{DVec2, DVec3};
-use crate::params::{DiscBias, ForceMethod, Params, SlipMethod};
+use crate::params::{DiscBias, ForceMethod, ForceParams, Params, SlipMethod};
 use crate::rig::Rig;
 use crate::slip::SlipTracker;
 use crate::track::{MarkerState, Tracks};
@@ -62,6 +62,8 @@ pub struct Pipeline {
     contact: ContactDetector,
     /// With `force.method`, since the rest frame.
     force: Option<ForceEstimator>,
+    /// For `force`, in place of the layer.
+    compliance: Option<Compliance>,
     /// With `slip.method`, since the rest frame.
     slip: Option<SlipTracker>,
     /// With `slip.method` and `force.method`: the patch, and its neighbours that the part presses.
@@ -107,6 +109,7 @@ impl Pipeline {
             skin: None,
             contact: ContactDetector::new(&params.contact),
             force: None,
+            compliance: None,
             slip: None,
             touching: Vec::new(),
             rest_variance_mm2: Vec::new(),
@@ -120,6 +123,13 @@ impl Pipeline {
             frames: 0,
             resumes: false,
         })
+    }
+
+    /// With the gel's compliance matrix, in place of the elastic layer of `force`; from the next rest frame
+    /// on. That frame fails with [`PipelineError::Force`] if the matrix is of another lattice or gel.
+    #[must_use]
+    pub fn with_compliance(self, compliance: Option<Compliance>) -> Self {
+        Self { compliance, ..self }
     }
 
     /// The settings in use.
@@ -350,8 +360,7 @@ impl Pipeline {
         let skin = depth.map(|depth| Skin::new(&rest, self.topology, depth)).transpose();
         let skin = skin.map_err(PipelineError::Contact)?;
         let (asked, surface) = (&self.params.force, skin.as_ref().map_or(&rest, Skin::rest));
-        let force = (asked.method != ForceMethod::None)
-            .then(|| ForceEstimator::on(asked, surface, self.topology, &self.covariance_mm2, None));
+        let force = (asked.method != ForceMethod::None).then(|| self.estimator(asked, surface));
         let force = force.transpose().map_err(PipelineError::Force)?;
         let asked = &self.params.slip;
         let slip = (asked.method != SlipMethod::None).then(|| SlipTracker::new(asked, surface, cols));
@@ -359,6 +368,10 @@ impl Pipeline {
         self.touching.reserve(rest.points_mm().len());
         (self.skin, self.force, self.slip, self.rest) = (skin, force, slip, Some(rest));
         Ok(())
+    }
+
+    fn estimator(&self, asked: &ForceParams, surface: &RestSurface) -> Result<ForceEstimator, ForceError> {
+        ForceEstimator::on(asked, surface, self.topology, &self.covariance_mm2, self.compliance.clone())
     }
 
     /// Processes later frames. A pair without a point, or off this surface, is a mismatch, and the marker
