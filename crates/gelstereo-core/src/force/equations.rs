@@ -14,7 +14,16 @@ pub(super) enum Gel<'a> {
     Matrix(&'a Compliance),
 }
 
-impl Gel<'_> {
+impl<'a> Gel<'a> {
+    /// With a matrix, the influence is not used.
+    pub fn new(
+        influence: &'a Influence,
+        sides: Option<&'a FreeSides>,
+        compliance: Option<&'a Compliance>,
+    ) -> Self {
+        compliance.map_or(Self::Layer { influence, sides }, Self::Matrix)
+    }
+
     /// Motion of the marker in this row and column into the layer, along rows and along columns, under a
     /// pressure and tractions along rows and columns of a cell.
     fn effect(&self, (row, col): (usize, usize), cell: &Cell) -> [[f64; 3]; 3] {

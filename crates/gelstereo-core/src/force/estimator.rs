@@ -143,7 +143,7 @@ impl ForceEstimator {
         compliance: Option<Compliance>,
     ) -> Result<Self, ForceError> {
         params.validate().map_err(ForceError::Params)?;
-        let stiffness = stiffness(params);
+        let stiffness = Stiffness::of(params);
         // Forces by stiffness do not depend on the modulus.
         let young_kpa = params.young_kpa.or(stiffness.map(|_| 1.0));
         let (Some(thickness_mm), Some(young_kpa), true) =
@@ -330,7 +330,7 @@ impl ForceEstimator {
         for &n in self.cells.near.iter().filter(|&&n| moved.state[n] == MarkerState::Seen) {
             let (motion_mm, covariance_mm2) = self.motion(moved, n);
             let place = self.grid.place(n);
-            let gel = gel(&self.influence, self.sides.as_ref(), self.compliance.as_ref());
+            let gel = Gel::new(&self.influence, self.sides.as_ref(), self.compliance.as_ref());
             self.equations.add(gel, &self.cells, place, motion_mm, &covariance_mm2);
         }
         self.equations.mirror();
@@ -366,8 +366,8 @@ impl ForceEstimator {
                 let (motion_mm, covariance_mm2) = self.motion(moved, n);
                 self.equations.differentiate(
                     (
-                        gel(&self.influence, self.sides.as_ref(), self.compliance.as_ref()),
-                        gel(&error.derivative, self.sides.as_ref(), None),
+                        Gel::new(&self.influence, self.sides.as_ref(), self.compliance.as_ref()),
+                        Gel::new(&error.derivative, self.sides.as_ref(), None),
                     ),
                     &self.cells,
                     self.grid.place(n),
@@ -491,23 +491,6 @@ impl ForceEstimator {
         }
         self.posterior.factor.half(&self.unit, &mut self.halves[component]);
     }
-}
-
-/// Of `resultant`; `None` for other methods.
-fn stiffness(params: &ForceParams) -> Option<Stiffness> {
-    let is_asked = params.method == ForceMethod::Resultant;
-    let (patch, around) = (params.patch_n_per_mm3?, params.around_n_per_mm3?);
-    let shear = params.shear_n_per_mm3?;
-    is_asked.then_some(Stiffness { patch, around, shear, sigma: params.resultant_sigma })
-}
-
-/// How tractions move the gel.
-fn gel<'a>(
-    influence: &'a Influence,
-    sides: Option<&'a FreeSides>,
-    compliance: Option<&'a Compliance>,
-) -> Gel<'a> {
-    compliance.map_or(Gel::Layer { influence, sides }, Gel::Matrix)
 }
 
 fn check_length(rest: usize, found: usize) -> Result<(), ForceError> {

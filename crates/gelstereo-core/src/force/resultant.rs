@@ -5,6 +5,7 @@ use super::wrench::Wrench;
 use crate::contact::RestSurface;
 use crate::math::linalg::Symmetric;
 use crate::math::{DMat3, DVec3, so3, sqrt};
+use crate::params::{ForceMethod, ForceParams};
 use crate::track::MarkerState;
 
 // Rms errors of simulated balls, plates and cylinders on two gels (`gelstereo_bench.reports.forces`).
@@ -25,6 +26,16 @@ pub(super) struct Stiffness {
     pub shear: f64,
     /// Relative standard deviation of the loads.
     pub sigma: f64,
+}
+
+impl Stiffness {
+    /// `None` for other methods.
+    pub fn of(params: &ForceParams) -> Option<Self> {
+        let is_asked = params.method == ForceMethod::Resultant;
+        let (patch, around) = (params.patch_n_per_mm3?, params.around_n_per_mm3?);
+        let shear = params.shear_n_per_mm3?;
+        is_asked.then_some(Self { patch, around, shear, sigma: params.resultant_sigma })
+    }
 }
 
 /// Where the markers of a contact are.
