@@ -212,3 +212,39 @@ pub(in crate::detect) fn without_band_px2(
 ) -> f64 {
     if band == 0 { variance_px2(image, centre_px, f64::from(area_px2), usual_px2) } else { 0.0 }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::random::Stream;
+    use proptest::prelude::*;
+
+    proptest! {
+        /// The eight nearest markers of all, whichever bucket they are in; too few limit nothing.
+        #[test]
+        fn areas_around_are_those_of_a_search_through_all(
+            count in 1_usize..120, side_px in 0.5..30.0_f64, seed in any::<u64>(),
+        ) {
+            let mut random = Stream::new(seed, "areas");
+            let mut markers = Markers::default();
+            for _ in 0..count {
+                let at = DVec2::new(random.uniform() * 640.0, random.uniform() * 480.0);
+                markers.centres_px.push(at);
+                markers.area_px2.push(1 + random.below(90) as u32);
+            }
+            let mut grid = Grid::default();
+            grid.build_evenly(markers.centres_px.iter().copied(), side_px);
+            for (own, own_px) in markers.centres_px.iter().enumerate() {
+                let mut others: Vec<usize> = (0..count).filter(|&other| other != own).collect();
+                let squared = |other: usize| markers.centres_px[other].distance_squared(*own_px);
+                others.sort_by(|&a, &b| squared(a).total_cmp(&squared(b)));
+                let expected = others.get(..NEIGHBOURS).map_or((0, u32::MAX), |nearest| {
+                    let mut areas: Vec<u32> = nearest.iter().map(|&other| markers.area_px2[other]).collect();
+                    areas.sort_unstable();
+                    (areas[1], areas[NEIGHBOURS - 2])
+                });
+                prop_assert_eq!(areas_around_px2(&markers, &grid, own), expected);
+            }
+        }
+    }
+}
