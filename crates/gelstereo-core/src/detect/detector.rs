@@ -124,6 +124,7 @@ impl Detector {
         out: &mut Found,
     ) {
         self.windows.reserve(positions, size, size_px);
+        self.rung.get().reserve_windows(positions, size_px);
         self.glares.reserve(size_px);
         self.areas_px2.clear();
         self.areas_px2.reserve(positions);

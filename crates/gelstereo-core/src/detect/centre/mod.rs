@@ -51,6 +51,9 @@ pub(super) trait CentreRung {
     /// Appends the markers of an image in the order of their components; `out` is empty, with room for all.
     fn centre_components(&mut self, found: &mut Components<'_>, out: &mut Markers);
 
+    /// Reserves memory for [`Self::refine_windows`] of so many markers, in images of this size.
+    fn reserve_windows(&mut self, _max: usize, _size_px: (usize, usize)) {}
+
     /// Refines listed markers found by the window classifier; returns whether any may have moved.
     fn refine_windows(&mut self, _: GrayView<'_>, _: &MarkerSize, _: &mut Markers) -> bool {
         false

@@ -217,6 +217,10 @@ impl CentreRung for DiscFit {
         }
     }
 
+    fn reserve_windows(&mut self, max: usize, size_px: (usize, usize)) {
+        self.grid.reserve(max, size_px, MIN_FAR_PX);
+    }
+
     /// Uses what was learned from the last whole image searched.
     fn refine_windows(&mut self, image: GrayView<'_>, _: &MarkerSize, out: &mut Markers) -> bool {
         let radius_px = self.fitter.usual_radius_px();
