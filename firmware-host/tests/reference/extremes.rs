@@ -38,7 +38,8 @@ fn run_with_any_valid_extreme_stops_and_writes_no_more_than_its_frames() {
             scope.spawn({
                 let stop = &stop;
                 move || {
-                    let _ = ended.recv_timeout(Duration::from_secs(2));
+                    // In the course of a run, most of which take some seconds.
+                    let _ = ended.recv_timeout(Duration::from_millis(700));
                     stop.store(true, Ordering::Relaxed);
                 }
             });
