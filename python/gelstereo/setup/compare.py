@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from gelstereo._native import Rig, triangulate
+from gelstereo._native import Rig, Simulator, triangulate
 from gelstereo.geometry import rigid_fit
 from gelstereo.setup.sensor import Sensor, SensorFileError
 from gelstereo.setup.tree import leaves
@@ -153,19 +153,7 @@ def compare_sensors(first: Sensor, second: Sensor) -> Comparison:
 
 def _wrong_points(rig: Rig, sensor: Sensor) -> tuple[Array, Array]:
     """Error of the sensor's markers at rest, triangulated by another rig, and their places."""
-    gel = sensor.gel
-    pitch_x_mm, pitch_y_mm = np.broadcast_to(gel["pitch_mm"], (2,))
-    is_hexagonal = sensor.params.to_dict()["lattice"]["layout"] == "hexagonal"
-    if is_hexagonal:
-        pitch_y_mm = math.sqrt(0.75) * pitch_x_mm
-    down_mm = pitch_y_mm * (np.arange(gel["rows"]) - 0.5 * (gel["rows"] - 1))
-    across_mm = pitch_x_mm * (np.arange(gel["cols"]) - 0.5 * (gel["cols"] - 1))
-    y_mm, x_mm = np.meshgrid(down_mm + gel["centre_mm"][1], across_mm + gel["centre_mm"][0], indexing="ij")
-    if is_hexagonal:
-        shifted_mm = 0.25 * pitch_x_mm * (1.0 if gel.get("odd_rows_forward", True) else -1.0)
-        x_mm[0::2] -= shifted_mm
-        x_mm[1::2] += shifted_mm
-    points_mm = np.column_stack([x_mm.ravel(), y_mm.ravel(), np.full(x_mm.size, gel["surface_mm"])])
+    points_mm = Simulator(sensor.scene()).press().points_mm
     left_px, right_px = sensor.rig.project(points_mm)
     return triangulate(rig, left_px, right_px) - points_mm, points_mm
 

@@ -45,9 +45,9 @@ class Sensor:
         """
         names = ["rows", "cols", "pitch_mm", "dot_radius_mm", "surface_mm", "centre_mm"]
         names += ["thickness_mm"] if "thickness_mm" in self.gel.get("learned", ()) else []
+        names += ["odd_rows_forward"] if "odd_rows_forward" in self.gel else []
         gel = {name: self.gel[name] for name in names}
         gel["layout"] = self.params.to_dict()["lattice"]["layout"]
-        gel["odd_rows_forward"] = self.gel.get("odd_rows_forward", True)
         effects = {"defocus": {}, "sensor_noise": {"sigma_levels": self.gel["noise_levels"]}}
         bright = self.params.to_dict()["detect"]["polarity"] == "bright"
         return Scene().replace(

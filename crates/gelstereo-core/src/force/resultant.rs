@@ -28,16 +28,6 @@ pub(super) struct Stiffness {
     pub sigma: f64,
 }
 
-impl Stiffness {
-    /// `None` for other methods.
-    pub fn of(params: &ForceParams) -> Option<Self> {
-        let is_asked = params.method == ForceMethod::Resultant;
-        let (patch, around) = (params.patch_n_per_mm3?, params.around_n_per_mm3?);
-        let shear = params.shear_n_per_mm3?;
-        is_asked.then_some(Self { patch, around, shear, sigma: params.resultant_sigma })
-    }
-}
-
 /// Where the markers of a contact are.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Place<'a> {
@@ -52,6 +42,14 @@ pub(super) struct Place<'a> {
 }
 
 impl Stiffness {
+    /// `None` for other methods.
+    pub fn of(params: &ForceParams) -> Option<Self> {
+        let is_asked = params.method == ForceMethod::Resultant;
+        let (patch, around) = (params.patch_n_per_mm3?, params.around_n_per_mm3?);
+        let shear = params.shear_n_per_mm3?;
+        is_asked.then_some(Self { patch, around, shear, sigma: params.resultant_sigma })
+    }
+
     /// The wrench of this motion; `None` unless a marker of the contact is seen. Each marker stands for the
     /// square or rectangle around it and acts like a spring. The covariances of the rest positions are added.
     pub fn wrench(
