@@ -5,8 +5,9 @@ use crate::lattice::Topology;
 use crate::layer::{Influence, Layer};
 use crate::math::{DVec3, abs, sqrt};
 
-/// Largest relative difference of the pitches along rows and along columns. With 0, 2 and 4.9 %, the rms error of the
-/// pressing force is 6.9, 6.9 and 7.0 % on the development half of the FEM contacts of bench/outside.
+/// Largest relative difference of the pitches along rows and along columns. With 0, 2 and 4.9 %, the rms
+/// error of the pressing force is 6.9, 6.9 and 7.0 % on square lattices (development half of the FEM contacts
+/// of bench/outside).
 const SQUARE: f64 = 0.05;
 
 /// A grid with a place at every marker. In a hexagonal print there is one between any two markers of a row,
