@@ -24,6 +24,8 @@ pub struct Difference {
     blocks: Blocks,
     thresholds: Thresholds,
     reflections: Reflections,
+    /// Whether the current row of blocks is in a reflection or beside one.
+    is_beside_reflection: bool,
     /// Smoothed image in whole levels, dark markers on a bright gel.
     smoothed: Vec<u8>,
     /// For each block, the level below which a smoothed pixel belongs to a marker.
@@ -70,6 +72,7 @@ impl Difference {
             blocks: Blocks::default(),
             thresholds: Thresholds::default(),
             reflections: Reflections::new(kernel_px),
+            is_beside_reflection: false,
             smoothed: Vec::new(),
             block_limits: Vec::new(),
             limits: Limits::default(),
@@ -105,7 +108,7 @@ impl Difference {
                 background.checked_sub(min).map_or(0, |limit| (limit >> FRACTION_BITS) as u8 + 1)
             }));
             if self.sees_reflections() {
-                self.reflections.look((width, height), &self.blocks);
+                self.reflections.start(width);
             }
         }
     }
@@ -124,19 +127,20 @@ impl Difference {
     /// must be passed in order, from row 0 on.
     pub fn row(&mut self, image: GrayView<'_>, y: usize, mask: &mut [u8]) {
         let width = image.width();
-        let beside_reflections = self.sees_reflections() && self.reflections.are_in_row(y);
+        let sees_reflections = self.sees_reflections();
         let levels = self.thresholds.row(y);
         let Limits { below, min } = &mut self.limits;
         match &mut self.rung {
             Rung::Blocks => {
                 let limits = &self.block_limits[y / BLOCK_PX * levels.len()..][..levels.len()];
-                if y.is_multiple_of(BLOCK_PX) || beside_reflections {
+                if y.is_multiple_of(BLOCK_PX) {
+                    self.is_beside_reflection = sees_reflections
+                        && self.reflections.close_around(y, &self.smoothed, width, &self.blocks);
+                }
+                if y.is_multiple_of(BLOCK_PX) || self.is_beside_reflection {
                     spread(limits, width, below);
                 }
-                if beside_reflections {
-                    if y.is_multiple_of(BLOCK_PX) {
-                        self.reflections.close_around(y, &self.smoothed, width, levels.len());
-                    }
+                if self.is_beside_reflection {
                     let floor_levels = self.thresholds.floor_levels();
                     self.reflections.limit(y, width, &self.blocks, floor_levels, below);
                 }

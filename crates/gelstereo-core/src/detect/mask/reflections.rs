@@ -9,7 +9,6 @@ use super::blur::FRACTION_BITS;
 use super::threshold::SHARE;
 use super::walls::BRIGHTEST_GEL;
 use alloc::vec::Vec;
-use core::ops::Range;
 
 /// Side of the background's kernel over that of the closing's square, which must be wider than a marker. The
 /// kernel spans about three pitches. Sides of 13, 15 and 17 px find as many markers under drawn smears.
@@ -22,52 +21,48 @@ const AROUND: usize = 3;
 #[derive(Clone, Debug)]
 pub(super) struct Reflections {
     side_px: usize,
-    /// Rows of pixels whose blocks are in a reflection or beside one.
-    rows: Range<usize>,
     /// Closing of the image in the rows of this row of blocks and of those beside it, from row `first` on.
     closed: Vec<u8>,
     first: usize,
     /// Deepest contrast of these blocks, from row `first_block` of blocks on.
     depths: Vec<u8>,
     first_block: usize,
+    /// A row of pixels.
+    row: Vec<u8>,
 }
 
 impl Reflections {
     /// For a background's kernel of this side.
     pub const fn new(kernel_px: usize) -> Self {
         let side_px = (kernel_px / SQUARE) | 1;
-        Self { side_px, rows: 0..0, closed: Vec::new(), first: 0, depths: Vec::new(), first_block: 0 }
+        Self { side_px, closed: Vec::new(), first: 0, depths: Vec::new(), first_block: 0, row: Vec::new() }
     }
 
-    /// Finds the reflections in the blocks of an image. Does not allocate if an earlier image was as wide.
-    pub fn look(&mut self, (width, height): (usize, usize), blocks: &Blocks) {
-        let (means, cols) = (blocks.means(), blocks.cols());
+    /// Reserves what an image of this width needs.
+    pub fn start(&mut self, width: usize) {
         self.closed.clear();
         self.closed.reserve((AROUND * BLOCK_PX + 2 * self.side_px) * width);
         self.depths.clear();
-        self.depths.reserve(AROUND * cols);
-        let (top, bottom) = (means.iter().position(is_bright), means.iter().rposition(is_bright));
-        self.rows = top.zip(bottom).map_or(0..0, |(top, bottom)| {
-            (top / cols).saturating_sub(1) * BLOCK_PX..((bottom / cols + 2) * BLOCK_PX).min(height)
-        });
+        self.depths.reserve(AROUND * width.div_ceil(BLOCK_PX));
+        self.row.resize(width, 0);
     }
 
-    /// Whether blocks of a row of pixels may be in a reflection or beside one.
-    pub fn are_in_row(&self, y: usize) -> bool {
-        self.rows.contains(&y)
-    }
-
-    /// Closes the image, which was smoothed to these levels, around the row of blocks of a row of pixels.
-    pub fn close_around(&mut self, y: usize, smoothed: &[u8], width: usize, cols: usize) {
-        let (block, height) = (y / BLOCK_PX, smoothed.len() / width);
+    /// Whether a block of the row of blocks that begins at row `y` of pixels, or one beside it, is in a
+    /// reflection. Closes the image, which was smoothed to these levels, around that row if so.
+    pub fn close_around(&mut self, y: usize, smoothed: &[u8], width: usize, blocks: &Blocks) -> bool {
+        let (block, height, cols) = (y / BLOCK_PX, smoothed.len() / width, blocks.cols());
         self.first_block = block.saturating_sub(1);
         let rows = self.first_block * BLOCK_PX..((block + 2) * BLOCK_PX).min(height);
+        let means = &blocks.means()[self.first_block * cols..rows.end.div_ceil(BLOCK_PX) * cols];
+        if !means.iter().any(is_bright) {
+            return false;
+        }
         // Squares that contain a pixel of these rows.
         self.first = rows.start.saturating_sub(self.side_px);
         let end = (rows.end + self.side_px).min(height);
         self.closed.clear();
         self.closed.extend_from_slice(&smoothed[self.first * width..end * width]);
-        close(&mut self.closed, width, self.side_px);
+        close(&mut self.closed, &mut self.row, self.side_px);
         self.depths.clear();
         self.depths.resize(rows.len().div_ceil(BLOCK_PX) * cols, 0);
         for y in rows {
@@ -79,6 +74,7 @@ impl Reflections {
                 *depth = pixels.fold(*depth, |depth, (gel, level)| depth.max(gel.saturating_sub(*level)));
             }
         }
+        true
     }
 
     /// Replaces the limits of a row, around which the image was closed, where gel beside reflections is
@@ -117,35 +113,48 @@ fn neighbours(block: usize, cols: usize, count: usize) -> impl Iterator<Item = u
 }
 
 /// Closing by a square, in place. Squares that leave the image are left out; an image that holds none stays.
-fn close(levels: &mut [u8], width: usize, side_px: usize) {
-    if side_px > width.min(levels.len() / width) {
+/// `row` is scratch, as long as a row.
+fn close(levels: &mut [u8], row: &mut [u8], side_px: usize) {
+    if side_px > row.len().min(levels.len() / row.len()) {
         return;
     }
     // The brightest level of the square that begins at a pixel, then the least of all squares with it.
-    ahead(levels, width, side_px, u8::max);
+    ahead(levels, row, side_px, u8::max);
     levels.reverse();
-    ahead(levels, width, side_px, u8::min);
+    ahead(levels, row, side_px, u8::min);
     levels.reverse();
 }
 
 /// Replaces each level by the extreme of the square that begins there; levels beyond the end count as 255.
-fn ahead(levels: &mut [u8], width: usize, side_px: usize, extreme: impl Fn(u8, u8) -> u8 + Copy) {
-    levels.chunks_exact_mut(width).for_each(|row| along(row, 1, side_px, extreme));
-    along(levels, width, side_px, extreme);
-}
-
-/// The same for a line of `count` levels, `step` apart. Lines are doubled until they are as long.
-fn along(levels: &mut [u8], step: usize, count: usize, extreme: impl Fn(u8, u8) -> u8) {
+/// Lines are doubled until they are as long. Their two halves never share memory, so that whole vectors are
+/// compared at once.
+fn ahead(levels: &mut [u8], row: &mut [u8], side_px: usize, extreme: impl Fn(u8, u8) -> u8 + Copy) {
+    let width = row.len();
     let mut reached = 1;
-    while reached < count {
-        let more = reached.min(count - reached);
-        let end = levels.len() - (more * step).min(levels.len());
-        for at in 0..end {
-            levels[at] = extreme(levels[at], levels[at + more * step]);
+    while reached < side_px {
+        let more = reached.min(side_px - reached);
+        for levels in levels.chunks_exact_mut(width) {
+            row.copy_from_slice(levels);
+            join(levels, &row[more.min(width)..], extreme);
         }
-        levels[end..].iter_mut().for_each(|level| *level = extreme(*level, u8::MAX));
+        let height = levels.len() / width;
+        for y in 0..height {
+            let (levels, below) = levels[y * width..].split_at_mut(width);
+            join(
+                levels,
+                below.get((more - 1) * width..).map_or(&[], |rows| &rows[..rows.len().min(width)]),
+                extreme,
+            );
+        }
         reached += more;
     }
+}
+
+/// Extreme of each level and its other one, 255 where there is none.
+fn join(levels: &mut [u8], others: &[u8], extreme: impl Fn(u8, u8) -> u8) {
+    let (with, without) = levels.split_at_mut(others.len());
+    with.iter_mut().zip(others).for_each(|(level, &other)| *level = extreme(*level, other));
+    without.iter_mut().for_each(|level| *level = extreme(*level, u8::MAX));
 }
 
 #[cfg(test)]
@@ -180,7 +189,7 @@ mod tests {
         ) {
             let levels = &levels[..levels.len() / width * width];
             let mut closed = levels.to_vec();
-            close(&mut closed, width, side);
+            close(&mut closed, &mut alloc::vec![0; width], side);
             prop_assert_eq!(closed, closing(levels, width, side));
         }
     }
@@ -197,9 +206,9 @@ mod tests {
         levels.chunks_exact(BLOCK_PX * width).for_each(|rows| blocks.push(rows));
         blocks.finish(3, &mut BoxSums::default());
         let mut reflections = Reflections::new(51);
-        reflections.look((width, height), &blocks);
+        reflections.start(width);
         let mut marked = |y: usize| {
-            reflections.close_around(y, &levels, width, blocks.cols());
+            assert!(reflections.close_around(y, &levels, width, &blocks));
             let mut below = alloc::vec![0_u8; width];
             reflections.limit(y, width, &blocks, 10.0, &mut below);
             let row = levels[y * width..][..width].iter().zip(below);
