@@ -50,7 +50,7 @@ def run(
         done = subprocess.run(
             command, capture_output=True, text=True, errors="replace", check=False, timeout=limit_s
         )
-        console = done.stdout + done.stderr
+        console = f"{done.stdout}{done.stderr}\nQEMU ended with {done.returncode}"
     except subprocess.TimeoutExpired as error:
         partial = error.stdout or b""
         console = partial.decode(errors="replace") if isinstance(partial, bytes) else partial

@@ -4,6 +4,7 @@ agent inside.
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import json
 import queue
@@ -27,6 +28,7 @@ Answer = dict[str, Any]
 STREAM_HEADER = struct.Struct("<8sQQIIIII")
 # High enough that the host's results differ little from those of the raw pixels.
 JPEG_QUALITY = 92
+ENDED = "the VM has ended"
 
 
 def listen() -> socket.socket:
@@ -42,18 +44,26 @@ class Agent:
         self._lines = connection.makefile("rw", encoding="utf-8")
         self._numbers = itertools.count()
         self._waiting: dict[int, queue.Queue[Answer]] = {}
+        self._has_ended = False
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
 
     def _read(self) -> None:
-        for line in self._lines:
-            answer = json.loads(line)
-            self._waiting.pop(answer["id"]).put(answer)
+        with contextlib.suppress(OSError):
+            for line in self._lines:
+                answer = json.loads(line)
+                self._waiting.pop(answer["id"]).put(answer)
+        # Whoever waits learns at once that the VM is gone.
+        self._has_ended = True
+        for answers in list(self._waiting.values()):
+            answers.put({"failure": ENDED})
 
     def ask(self, ask: str, limit_s: float = 60.0, **arguments: object) -> Answer:
         """The answer to one request."""
         number, answers = next(self._numbers), queue.Queue[Answer]()
         self._waiting[number] = answers
+        if self._has_ended:
+            raise RuntimeError(ENDED)
         self._lines.write(json.dumps({"id": number, "ask": ask, "arguments": arguments}) + "\n")
         self._lines.flush()
         answer = answers.get(timeout=limit_s)
@@ -62,10 +72,12 @@ class Agent:
         return answer
 
     def close(self) -> None:
-        """Ends the agent, and with it the VM."""
-        self._connection.shutdown(socket.SHUT_RDWR)
+        """Ends the agent, and with it the VM, which may have ended before."""
+        with contextlib.suppress(OSError):
+            self._connection.shutdown(socket.SHUT_RDWR)
         self._reader.join()
-        self._lines.close()
+        with contextlib.suppress(OSError):
+            self._lines.close()
         self._connection.close()
 
 
