@@ -4,6 +4,8 @@ estimator uses them.
 
 from __future__ import annotations
 
+import contextlib
+import math
 import pickle
 import sys
 from functools import cache
@@ -15,7 +17,9 @@ import numpy.typing as npt
 import pytest
 
 import gelstereo as gs
+from gelstereo.cli.main import main
 from gelstereo.force import compute_compliance
+from gelstereo.force.background import in_background
 
 Array = npt.NDArray[np.float64]
 
@@ -28,6 +32,30 @@ def narrow() -> gs.Compliance:
     return compute_compliance(
         rows=ROWS, cols=COLS, pitch_mm=PITCH_MM, thickness_mm=THICKNESS_MM, poisson_ratio=NU, rim_mm=RIM_MM
     )
+
+
+def test_a_command_writes_the_same_matrix_and_steps_are_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    steps: list[tuple[int, int]] = []
+    monkeypatch.setattr(
+        "gelstereo.force.compliance_command.Progress",
+        lambda _: contextlib.nullcontext(lambda done, total: steps.append((done, total))),
+    )
+    gel = f"--rows {ROWS} --cols {COLS} --pitch-mm {PITCH_MM} --thickness-mm {THICKNESS_MM}"
+    rest = f"--poisson-ratio {NU} --rim-mm {RIM_MM[0]} {RIM_MM[1]} --output {tmp_path / 'new/gel.compliance'}"
+    assert main(["compliance", *gel.split(), *rest.split()]) == 0
+    made = gs.Compliance.load(tmp_path / "new/gel.compliance")
+    assert np.array_equal(made.matrix(), narrow().matrix())
+    assert [done for done, _ in steps] == list(range(steps[-1][1] + 1))
+
+
+def test_the_other_process_hands_back_its_errors_and_its_end() -> None:
+    # Both take the function of the steps for their argument.
+    with pytest.raises(TypeError, match="must be real number, not function"):
+        in_background(math.sqrt)
+    with pytest.raises(ChildProcessError, match="ended with code 1; was there enough memory"):
+        in_background(sys.exit)
 
 
 def lattice() -> Array:
@@ -242,6 +270,9 @@ def test_a_pipeline_takes_a_matrix() -> None:
     # Stiffer by three tenths of the strain.
     strain = frames[1].indentation_mm[frames[1].patch].max() / 5.0
     assert np.allclose(pressing[2], (1.0 + 0.3 * strain) * pressing[0], rtol=2e-3)
-    narrow_one = gs.Pipeline(scene.rig, gs.Params.preset("fast").replace(force=settings), compliance=narrow())
+    params = gs.Params.preset("fast").replace(force=settings)
+    narrow_one = gs.Pipeline(scene.rig, params, compliance=of_layer(5, 5, 0.9, 5.0, 0.48))
     with pytest.raises(gs.ContactError, match="the number of columns is 25, but the compliance matrix is of"):
         narrow_one.process(images[0].left, images[0].right)
+    with pytest.raises(gs.ContactError, match=r"force\.thickness_mm is 5, but the compliance"):
+        gs.Pipeline(scene.rig, params, compliance=narrow())

@@ -8,9 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from test_compliance import of_layer
 from test_recording_readers import host_binary
 
 import gelstereo as gs
+from gelstereo.export.forces import frames_with_forces
 
 YOUNG_KPA = 120.0
 
@@ -40,16 +42,15 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[dict]
         'source = { kind = "folder", path = "pairs", frame_rate_hz = 30.0 }\n'
         f'[params.force]\nmethod = "ridge"\nthickness_mm = 5.0\nyoung_kpa = {YOUNG_KPA}\n'
     )
-    words = [host_binary(), "sense", "--config", str(folder / "cell.toml"), "--jsonl"]
-    done = subprocess.run(
-        [*words, "--record", str(folder / "run.mcap")],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=120,
-    )
+    done = host("sense", "--config", folder / "cell.toml", "--jsonl", "--record", folder / "run.mcap")
     assert done.returncode == 0, done.stderr
     return folder / "run.mcap", [json.loads(line) for line in done.stdout.splitlines()], frame
+
+
+def host(*words: str | Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [host_binary(), *map(str, words)], capture_output=True, text=True, check=False, timeout=120
+    )
 
 
 def test_a_line_has_the_force_of_the_part(recorded: tuple[Path, list[dict], gs.SimulatedFrame]) -> None:
@@ -91,7 +92,63 @@ def test_ros_reads_the_wrench_about_the_cameras_origin(
 def test_a_replay_finds_the_same_wrenches(recorded: tuple[Path, list[dict], gs.SimulatedFrame]) -> None:
     """The digest of a frame includes its wrench, and the replay compares digests."""
     path, lines, _ = recorded
-    words = [host_binary(), "replay", str(path)]
-    done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=120)
+    done = host("replay", path)
     assert done.returncode == 0, done.stdout + done.stderr
     assert len(lines) == 16
+
+
+def test_the_host_takes_the_gels_matrix_and_records_it(
+    recorded: tuple[Path, list[dict], gs.SimulatedFrame],
+) -> None:
+    """With the layer's own matrix, forces are those of the layer, in other bits. A replay and an export take
+    it from the recording.
+    """
+    folder, matrix = recorded[0].parent, recorded[0].parent / "gel.compliance"
+    of_layer(25, 25, 0.9, 5.0, 0.48).save(matrix)
+    config = folder / "matrix.toml"
+    config.write_text('compliance_file = "gel.compliance"\n' + (folder / "cell.toml").read_text())
+    done = host("sense", "--config", config, "--jsonl", "--record", folder / "matrix.mcap")
+    assert done.returncode == 0, done.stderr
+    lines = [json.loads(line) for line in done.stdout.splitlines()]
+    found, expected = (np.array(each[-1]["wrench"]["force_n"]) for each in (lines, recorded[1]))
+    assert 0.0 < np.linalg.norm(found - expected) < 0.01 * np.linalg.norm(expected)
+    matrix.unlink()
+    replayed = host("replay", folder / "matrix.mcap")
+    assert replayed.returncode == 0 and "same bits" in replayed.stdout, replayed.stdout + replayed.stderr
+    exported = list(frames_with_forces(folder / "matrix.mcap"))
+    np.testing.assert_array_equal(exported[-1].tactile["wrench"][:3], found)
+
+
+@pytest.mark.parametrize(
+    ("gel", "text"),
+    [
+        (None, "cannot read"),
+        ((0.9, 4.0, 0.48), "force.thickness_mm is 5, but the compliance matrix is of a gel where"),
+        (b"gelcompl", "the compliance matrix is damaged or cut off"),
+        (b"solid", "these are not the bytes of a compliance matrix"),
+    ],
+)
+def test_a_matrix_that_does_not_fit_is_named(
+    recorded: tuple[Path, list[dict], gs.SimulatedFrame],
+    gel: tuple[float, float, float] | bytes | None,
+    text: str,
+) -> None:
+    folder, matrix = recorded[0].parent, recorded[0].parent / "other.compliance"
+    matrix.unlink(missing_ok=True)
+    if isinstance(gel, tuple):
+        of_layer(2, 2, *gel).save(matrix)
+    elif gel is not None:
+        matrix.write_bytes(gel)
+    config = folder / "other.toml"
+    config.write_text('compliance_file = "other.compliance"\n' + (folder / "cell.toml").read_text())
+    sensed, checked = host("sense", "--config", config), host("check", "--config", config)
+    assert sensed.returncode == 2 and text in sensed.stderr, sensed.stderr
+    assert checked.returncode == 1 and "WRONG  compliance" in checked.stdout
+    assert text in checked.stdout
+
+
+def test_a_matrix_that_nothing_uses_is_refused(recorded: tuple[Path, list[dict], gs.SimulatedFrame]) -> None:
+    config = recorded[0].parent / "unused.toml"
+    config.write_text('compliance_file = "gel.compliance"\n')
+    done = host("check", "--config", config)
+    assert done.returncode == 2 and 'params.force.method is "none"' in done.stderr, done.stdout + done.stderr

@@ -159,6 +159,12 @@ LOCALIZER = (
     "[localizer.process(patch) for _ in range(20)]",
     "assert localizer.process(few) is not None",
 )
+# A factorization takes seconds here, in a library that does not know of signals.
+COMPLIANCE = (
+    "from gelstereo.force import compute_compliance",
+    "compute_compliance(rows=40, cols=40, pitch_mm=1.0, thickness_mm=4.0, rim_mm=2.0)",
+    "",
+)
 CASES = {
     "grid": GRID,
     "symmetries": SYMMETRIES,
@@ -173,6 +179,7 @@ CASES = {
     "grid_distance": GRID_DISTANCE,
     "dense": DENSE,
     "layer": LAYER,
+    "compliance": COMPLIANCE,
     "localizer": LOCALIZER,
     **SAMPLES,
 }

@@ -12,6 +12,8 @@ pub mod camera;
 pub mod check;
 pub mod codec;
 #[cfg(feature = "host")]
+pub mod compliance;
+#[cfg(feature = "host")]
 pub mod config;
 #[cfg(feature = "host")]
 pub mod doctor;

@@ -1,11 +1,12 @@
 //! Replays a recording: the same images, settings and actions must give the same bits.
 
+use crate::compliance;
 use crate::config::{Config, RecordingMode};
 use crate::notes::{action_note, frame_note};
 use crate::part::Part;
 use crate::recording::{
-    ATTACHMENT_REST, CaptureNote, ImageDecoder, Item, METADATA_CONFIG, METADATA_DECODER, METADATA_PART,
-    Reader, RecordingError, Topic, messages, pixel_crc,
+    ATTACHMENT_COMPLIANCE, ATTACHMENT_REST, CaptureNote, ImageDecoder, Item, METADATA_CONFIG,
+    METADATA_DECODER, METADATA_PART, Reader, RecordingError, Topic, messages, pixel_crc,
 };
 use crate::report::Stage;
 use crate::run::HostError;
@@ -183,6 +184,7 @@ impl Replay {
         let changed_params = params.as_ref().is_some_and(|params| *params != config.params);
         let params = params.unwrap_or_else(|| config.params.clone());
         params.validate().map_err(crate::config::ConfigError::Params)?;
+        let compliance = compliance::attached(&config, opening.attachments.remove(ATTACHMENT_COMPLIANCE))?;
         let part = match &config.part.shape {
             shape @ Shape::Mesh { .. } => {
                 let mut attachments = std::mem::take(&mut opening.attachments);
@@ -191,7 +193,8 @@ impl Replay {
             }
             shape => Part::load(shape)?,
         };
-        let sensing = Sensing::new(&config.rig()?, &params, part.template(&config.part)?)?;
+        let sensing = Sensing::new(&config.rig()?, &params, part.template(&config.part)?)?
+            .with_compliance(compliance)?;
         let every_nth = config.recording.every_nth;
         let thinned = format!("only one of {every_nth} pairs has its images in the recording");
         let report = ReplayReport {

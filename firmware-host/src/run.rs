@@ -1,11 +1,12 @@
 //! Runs a job from its configuration: devices, template, recording, and in simulation the ground truth.
 
+use crate::compliance::{self, ComplianceFileError};
 use crate::config::{Config, ConfigError, RobotConfig, SourceConfig, TaskConfig};
 use crate::gripper::{Gripper, GripperConfig, GripperError};
 use crate::hid::HidError;
 use crate::light::{LightOn, set_up_camera};
 use crate::part::{Part, PartError};
-use crate::recording::{Content, LogClock, Recording, RecordingError};
+use crate::recording::{ATTACHMENT_COMPLIANCE, Content, LogClock, Recording, RecordingError};
 use crate::report::{JobReport, Outcome, PageReport, Stage, StageReport, Trace, TruthReport};
 use crate::robot::{Robot, RobotError};
 use crate::sensing::{Sensing, SensingError};
@@ -30,6 +31,8 @@ pub enum HostError {
     Config(ConfigError),
     /// The part cannot be loaded.
     Part(PartError),
+    /// The gel's compliance matrix cannot be loaded.
+    Compliance(ComplianceFileError),
     /// The simulated world cannot be created.
     World(WorldError),
     /// Error of the light, or of the camera's settings by HID.
@@ -59,6 +62,7 @@ impl HostError {
         match self {
             Self::Config(_) => "config",
             Self::Part(_) => "part",
+            Self::Compliance(_) => "compliance",
             Self::World(_) => "world",
             Self::Hid(_) => "hid",
             Self::Source(_) => "source",
@@ -78,6 +82,7 @@ impl std::fmt::Display for HostError {
         match self {
             Self::Config(error) => error.fmt(f),
             Self::Part(error) => error.fmt(f),
+            Self::Compliance(error) => error.fmt(f),
             Self::World(error) => error.fmt(f),
             Self::Hid(error) => error.fmt(f),
             Self::Source(error) => error.fmt(f),
@@ -103,7 +108,8 @@ macro_rules! host_from {
         })*
     };
 }
-host_from!(ConfigError => Config, PartError => Part, WorldError => World, HidError => Hid,
+host_from!(ConfigError => Config, PartError => Part, ComplianceFileError => Compliance,
+           WorldError => World, HidError => Hid,
            SourceError => Source, SensingError => Sensing, GripperError => Gripper, RobotError => Robot,
            RecordingError => Recording, TaskError => Task, TaughtError => Taught);
 
@@ -117,6 +123,8 @@ pub struct Setup {
     pub sensing: Sensing,
     /// The part.
     pub part: Part,
+    /// Names and bytes of the files that a replay needs: the part's mesh and the compliance matrix.
+    pub attachments: Vec<(String, Vec<u8>)>,
     /// Part pose at the goal (`t_base_object`), taught or configured.
     pub goal: Pose,
 }
@@ -154,7 +162,12 @@ impl Setup {
     fn with_part_at(config: &Config, place: Place) -> Result<Self, HostError> {
         config.validate()?;
         let part = Part::load(&config.part.shape)?;
+        let compliance = compliance::load(config)?;
+        let mut attachments: Vec<_> = part.file.clone().into_iter().collect();
+        let bytes = compliance.as_ref().map(|matrix| (ATTACHMENT_COMPLIANCE.to_owned(), matrix.to_bytes()));
+        attachments.extend(bytes);
         let sensing = Sensing::new(&config.rig()?, &config.params, part.template(&config.part)?)?
+            .with_compliance(compliance)?
             .with_deadline(config.deadline_ms);
         let goal = goal(config, &sensing)?;
         let world = World::shared(config, place)?;
@@ -179,7 +192,7 @@ impl Setup {
             None => Box::new(SimulatedRobot(Rc::clone(&world))),
         };
         let devices = Devices { source, gripper, robot };
-        Ok(Self { world, devices, sensing, part, goal })
+        Ok(Self { world, devices, sensing, part, attachments, goal })
     }
 }
 
@@ -237,7 +250,7 @@ pub fn run(
     set_up_camera(&config.camera_hid)?;
     let light = LightOn::new(&config.light)?;
     let setup = Setup::new(config)?;
-    let recording = begin_recording(config, &setup.part)?;
+    let recording = begin_recording(config, &setup)?;
     let mut trace = Trace::default();
     let mut result = run_traced(config, setup, Some(recording), &mut trace, stop, progress);
     finish(config, &trace, light, result.as_mut());
@@ -262,11 +275,8 @@ fn finish(config: &Config, trace: &Trace, light: LightOn, result: Result<&mut Jo
     }
 }
 
-fn begin_recording(config: &Config, part: &Part) -> Result<Recording, HostError> {
-    let content = Content {
-        config_toml: recorded_config(config)?,
-        attachments: part.file.clone().into_iter().collect(),
-    };
+fn begin_recording(config: &Config, setup: &Setup) -> Result<Recording, HostError> {
+    let content = Content { config_toml: recorded_config(config)?, attachments: setup.attachments.clone() };
     Ok(Recording::create(&config.recording, content, log_clock(&config.source))?)
 }
 
@@ -283,7 +293,7 @@ pub fn teach(
     set_up_camera(&config.camera_hid)?;
     let light = LightOn::new(&config.light)?;
     let setup = Setup::for_teaching(config)?;
-    let recording = begin_recording(config, &setup.part)?;
+    let recording = begin_recording(config, &setup)?;
     let mut trace = Trace::default();
     let sinks = Sinks { recording: Some(recording), trace: &mut trace, progress };
     let mut result = teach_with(config, setup, sinks, stay, stop);

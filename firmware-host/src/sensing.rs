@@ -1,6 +1,7 @@
 //! Facade over pipeline, registration and template, shared by the job and the replay.
 
 use crate::source::{StereoPair, monotonic_ns};
+use gelstereo_core::force::Compliance;
 use gelstereo_core::image::ImageError;
 use gelstereo_core::math::linalg::{Symmetric, eigen};
 use gelstereo_core::math::{DMat3, DQuat, DVec3, Pose, so3};
@@ -134,6 +135,15 @@ impl Sensing {
             pace: Pace::default(),
             work_limit: None,
         })
+    }
+
+    /// With the gel's compliance matrix, in place of the elastic layer of `force`.
+    ///
+    /// # Errors
+    /// [`SensingError::Pipeline`] if it is of another lattice or gel.
+    pub fn with_compliance(self, compliance: Option<Compliance>) -> Result<Self, SensingError> {
+        let pipeline = self.pipeline.with_compliance(compliance).map_err(SensingError::Pipeline)?;
+        Ok(Self { pipeline, ..self })
     }
 
     /// With a time in which each frame must be sensed.

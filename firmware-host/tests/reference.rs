@@ -343,7 +343,7 @@ fn a_key_that_does_not_exist_is_told_from_the_one_that_was_meant() {
             "line 2: params.detect.centre is \"soft_treshold\"; did you mean `soft_threshold`?",
         ),
         ("part = { shape = { kind = \"cylindre\" } }", "did you mean `cylinder`?"),
-        ("xyzzy = 1", "valid is one of preset, rig_file, sensor_file, source, "),
+        ("xyzzy = 1", "valid is one of preset, rig_file, sensor_file, compliance_file, source, "),
     ];
     for (text, words) in cases {
         let message = Config::parse(text, "cell.toml").unwrap_err().to_string();

@@ -146,13 +146,19 @@ impl Compliance {
         Ok(Self { inner: read.map_err(|error| tree::in_file(py, &error, &path))? })
     }
 
+    /// A matrix from the bytes of a file, such as the attachment `gel.compliance` of a recording.
+    ///
+    /// Raises
+    /// ------
+    /// ContactError
+    ///     As `load`.
     #[classmethod]
-    fn _from_bytes(_cls: &Bound<'_, PyType>, data: &[u8]) -> PyResult<Self> {
+    fn from_bytes(_cls: &Bound<'_, PyType>, data: &[u8]) -> PyResult<Self> {
         Ok(Self { inner: core::Compliance::from_bytes(data).map_err(raise)? })
     }
 
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<pickle::Reduced<'py>> {
-        pickle::reduce(slf, "_from_bytes", &slf.get().inner.to_bytes())
+        pickle::reduce(slf, "from_bytes", &slf.get().inner.to_bytes())
     }
 
     fn __repr__(&self) -> String {

@@ -96,6 +96,7 @@ impl Pipeline {
         let params = Params::or_default(params);
         let stages = core::Pipeline::new(&rig.get().inner, &params).map_err(raise)?;
         let stages = stages.with_compliance(compliance.map(|compliance| compliance.core().clone()));
+        let stages = stages.map_err(raise)?;
         let channel = fixed_channel(&params.detect);
         Ok(Self {
             stages: Box::new(Mutex::new(stages)),

@@ -3,6 +3,7 @@
 pub mod disk;
 mod hardware;
 
+use crate::compliance;
 use crate::config::{Config, RobotConfig, SourceConfig};
 use crate::finding::Finding;
 use crate::part::Part;
@@ -21,6 +22,7 @@ pub fn check(config: &Config) -> Vec<Finding> {
     let task = config.validate_task();
     findings.extend(task.as_ref().err().map(|error| Finding::wrong("task", error.to_string())));
     findings.push(part(config));
+    findings.extend(compliance(config));
     findings.extend(hardware::examine(config));
     if values.is_ok() && task.is_ok() {
         findings.extend(devices(config));
@@ -44,6 +46,21 @@ fn part(config: &Config) -> Finding {
         Ok(found) => Finding::ok("part", found),
         Err(error) => Finding::wrong("part", error.to_string()),
     }
+}
+
+/// Reads the compliance matrix, if there is one, and compares it with the settings.
+fn compliance(config: &Config) -> Option<Finding> {
+    const SUBJECT: &str = "compliance";
+    let matrix = match compliance::load(config) {
+        Ok(matrix) => matrix?,
+        Err(error) => return Some(Finding::wrong(SUBJECT, error.to_string())),
+    };
+    let (gel, fit) = (matrix.gel(), matrix.check_settings(&config.params));
+    let found = format!("{} x {} markers, gel {} mm thick", gel.rows, gel.cols, gel.layer.thickness_mm);
+    Some(match fit {
+        Ok(()) => Finding::ok(SUBJECT, found),
+        Err(error) => Finding::wrong(SUBJECT, error.to_string()),
+    })
 }
 
 /// Opens the devices that the job opens.

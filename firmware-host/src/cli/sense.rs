@@ -89,7 +89,7 @@ pub fn command(arguments: &Arguments) -> Result<bool, CliError> {
         lines: arguments.jsonl,
         points: arguments.points,
     };
-    let outputs = open_outputs(&config, &listeners, setup.part.file.into_iter().collect());
+    let outputs = open_outputs(&config, &listeners, setup.attachments);
     let parts = Parts {
         config: &config,
         source: named_source(&config, setup.devices),

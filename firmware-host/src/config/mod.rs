@@ -32,7 +32,7 @@ use crate::gripper::GripperConfig;
 use crate::part::PartConfig;
 use gelstereo_core::frames::{FingerKinematics, SensorMount};
 use gelstereo_core::math::{DVec3, Pose};
-use gelstereo_core::params::{Channel, Params};
+use gelstereo_core::params::{Channel, ForceMethod, Params};
 use gelstereo_core::rig::Rig;
 use gelstereo_sim::{Gel, Scene, Shape};
 use sensor::SensorFile;
@@ -55,6 +55,11 @@ pub struct Config {
     /// none. Set it for real images, to what `gelstereo setup` wrote.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sensor_file: Option<PathBuf>,
+    /// File with the gel's compliance matrix, in place of the elastic layer of `params.force`, whose `method`
+    /// is then `ridge` or `bounded`. A relative path starts at the configuration's folder. Default: none. Set
+    /// it where the gel ends close to the markers, to what `gelstereo compliance` wrote.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub compliance_file: Option<PathBuf>,
     /// Source of stereo pairs. Default: the simulated sensor.
     pub source: SourceConfig,
     /// The gripper. Default: the simulated one.
@@ -100,6 +105,7 @@ impl Default for Config {
             preset: DEFAULT_PRESET.to_owned(),
             rig_file: None,
             sensor_file: None,
+            compliance_file: None,
             source: SourceConfig::default(),
             gripper: GripperConfig::default(),
             robot: RobotConfig::default(),
@@ -119,7 +125,7 @@ impl Default for Config {
 }
 impl Config {
     /// Reads a file and the files that it refers to. [`Self::to_toml`] then gives a self-contained
-    /// configuration, except for the part's mesh.
+    /// configuration, except for the part's mesh and the compliance matrix.
     ///
     /// # Errors
     /// [`ConfigError`].
@@ -144,6 +150,9 @@ impl Config {
             let file = folder.join(file);
             let rig = from_toml("Rig", &read(&file)?, &file.display().to_string())?;
             config.rig = Some(rig);
+        }
+        if let Some(file) = &mut config.compliance_file {
+            *file = folder.join(&*file);
         }
         match &mut config.source {
             SourceConfig::Folder { path, .. } => *path = folder.join(&*path),
@@ -234,6 +243,7 @@ impl Config {
     pub fn validate(&self) -> Result<(), ConfigError> {
         self.params.validate().map_err(ConfigError::Params)?;
         check_channel(self.params.detect.channel)?;
+        self.check_compliance()?;
         range::check_seed("params.register.ransac_icp.seed", self.params.register.ransac_icp.seed)?;
         self.mount.validate().map_err(ConfigError::Mount)?;
         let rig = self.rig()?;
@@ -262,6 +272,22 @@ impl Config {
             self.simulated.validate_against(&self.params)?;
         }
         Ok(())
+    }
+
+    /// Refuses a matrix that nothing uses.
+    fn check_compliance(&self) -> Result<(), ConfigError> {
+        match (&self.compliance_file, self.params.force.method) {
+            (Some(file), method @ (ForceMethod::None | ForceMethod::Resultant)) => {
+                let method = if method == ForceMethod::None { "none" } else { "resultant" };
+                Err(ConfigError::Contradiction {
+                    name: "compliance_file",
+                    found: format!("\"{}\"", file.display()),
+                    other: format!("params.force.method is \"{method}\", which does not use it"),
+                    advice: "set params.force.method = \"ridge\" or \"bounded\", or remove compliance_file",
+                })
+            }
+            _ => Ok(()),
+        }
     }
 
     /// Checks what only a task needs; [`Self::validate`] is enough for sensing.

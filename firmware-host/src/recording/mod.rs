@@ -2,8 +2,8 @@
 //!
 //! [`Recording`] passes pairs, messages and events to its own thread, so that the robot never waits for a
 //! disk. The thread appends whole chunks of at most half a second; in a truncated file, everything before
-//! the last chunk remains readable. Each file holds the configuration as metadata, and the part's mesh
-//! and the rest state as attachments. [`crate::replay`] needs nothing else.
+//! the last chunk remains readable. Each file holds the configuration as metadata, and the part's mesh,
+//! the gel's compliance matrix and the rest state as attachments. [`crate::replay`] needs nothing else.
 //!
 //! A simulated run takes its times from the frame source alone and gives the same bytes every time.
 
@@ -48,5 +48,7 @@ pub const METADATA_PART: &str = "part";
 pub const METADATA_CLOCK: &str = "log_clock";
 /// Its entry with the JPEG decoder and its version.
 pub const METADATA_DECODER: &str = "jpeg_decoder";
+/// Name of the attachment with the gel's compliance matrix, if the configuration has one.
+pub const ATTACHMENT_COMPLIANCE: &str = "gel.compliance";
 /// Name of the attachment with the rest state, JSON of [`gelstereo_core::pipeline::RestRecord`].
 pub const ATTACHMENT_REST: &str = "rest.json";

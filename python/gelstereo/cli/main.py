@@ -27,6 +27,10 @@ COMMANDS = {
         "gelstereo.force.command",
         "known weights and their recording to the gel's modulus, with a report",
     ),
+    "compliance": (
+        "gelstereo.force.compliance_command",
+        "a narrow gel's sizes to the matrix of its compliance, for forces",
+    ),
     "compare": ("gelstereo.setup.compare_command", "two sensor files: what differs, and what it means"),
     "tune": ("gelstereo.tune.command", "presses or a scene, and a goal, to the settings that reach it"),
     "localize": ("gelstereo.cli.localize", "a point cloud or stereo images, and a template, to a pose"),

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from gelstereo._native import Frame, Params, Pipeline
+from gelstereo._native import Compliance, Frame, Params, Pipeline
 from gelstereo.export.errors import ExportError
 from gelstereo.export.recording import RecordedFrame, recorded_frames
 from gelstereo.export.tactile import force_features
@@ -42,7 +42,11 @@ def frames_with_forces(path: Path, settings: Params | None = None) -> Iterator[R
             f"{path} was recorded without force.method; state the settings of the gel: --force FILE, where "
             "FILE is that of gelstereo calibrate-force"
         )
-    pipeline = Pipeline(rig_of(header), params)
+    # A host that has the gel's compliance matrix attaches it to its recordings.
+    attached = header.attachments.get("gel.compliance")
+    uses_it = attached is not None and tree["force"]["method"] != "resultant"
+    compliance = Compliance.from_bytes(attached) if attached is not None and uses_it else None
+    pipeline = Pipeline(rig_of(header), params, compliance=compliance)
     rest: Frame | None = None
     for frame in recorded_frames(path):
         missing = {"left", "right"} - set(frame.images)

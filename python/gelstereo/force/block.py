@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Quarter", "lines"]
+__all__ = ["Quarter", "lines", "solves"]
 
 Array = npt.NDArray[np.float64]
 
@@ -27,9 +27,14 @@ _SHAPES: tuple[Callable[[Array], Array], Callable[[Array], Array]] = (
     lambda x: np.stack([x * (x - 1) / 2, 1 - x * x, x * (x + 1) / 2]),
     lambda x: np.stack([x - 0.5, -2 * x, x + 0.5]),
 )
-#: Loads solved at once, which bounds the memory.
+#: Loads solved at once, which bounds the memory and the time of a step.
 _AT_ONCE = 64
 _POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(3)
+
+
+def solves(loads: int) -> int:
+    """Number of steps of `Quarter.top`: a factorization, and solutions for some loads each."""
+    return 1 + -(-loads // _AT_ONCE)
 
 
 def lines(first_mm: float, until_mm: float, growth: float) -> Array:
@@ -92,6 +97,8 @@ class Quarter:
 
     edges_mm: tuple[Array, Array, Array]
     poisson_ratio: float
+    #: Called after each step of `top`.
+    step: Callable[[], None] = lambda: None
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -150,6 +157,7 @@ class Quarter:
             diag_pivot_thresh=0.0,
             options={"SymmetricMode": True},
         )
+        self.step()
         flat = forces.reshape(len(top), -1)
         moved = np.empty_like(flat)
         for start in range(0, flat.shape[1], _AT_ONCE):
@@ -159,6 +167,7 @@ class Quarter:
             right[free] = solver.solve(right[free])
             right[is_held] = 0.0
             moved[:, some] = right[top]
+            self.step()
         return moved.reshape(forces.shape)
 
     @cached_property

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from gelstereo._native import Compliance, LayerContact, ParamsError
 from gelstereo.extras import needs
-from gelstereo.force.block import Quarter, lines
+from gelstereo.force.background import in_background
+from gelstereo.force.block import Quarter, lines, solves
 
 __all__ = ["compute_compliance"]
 
 Array = npt.NDArray[np.float64]
+
+#: Of loads, across the planes of symmetry.
+_PARITIES = ((1, 1), (1, -1), (-1, 1), (-1, -1))
 
 #: Elements along the gel are as wide as a pitch, those at the top this share of it high, and each below by
 #: `_GROWTH` higher.
@@ -37,6 +42,7 @@ def compute_compliance(
     poisson_ratio: float = 0.48,
     rim_mm: float | Sequence[float],
     elements_per_pitch: int = 1,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Compliance:
     """Motion of every marker under unit tractions on every cell of a finite gel.
 
@@ -59,6 +65,9 @@ def compute_compliance(
         both. Cells that a side cuts carry their whole load on what is left of them.
     elements_per_pitch
         Of the mesh, 1 to 4. Two take ten times as long as one.
+    progress
+        Called with the number of finished steps and of all steps. The steps are done by a process of
+        their own, which Ctrl-C ends.
 
     Returns
     -------
@@ -71,32 +80,18 @@ def compute_compliance(
         If a number is out of its range.
     MissingExtra
         Without SciPy.
+    ChildProcessError
+        If the process of the steps ends, for lack of memory for example.
     """
     along = np.asarray(rim_mm, dtype=float).ravel().tolist()
     along = along * 2 if len(along) == 1 else along
     _check(rows, cols, pitch_mm, thickness_mm, poisson_ratio, along, elements_per_pitch)
     with needs("compute_compliance"):
         import scipy.sparse.linalg  # noqa: F401
-    counts = (cols, rows)
-    halves = [0.5 * pitch_mm * (count - 1) + rim for count, rim in zip(counts, along, strict=True)]
-    size_mm = pitch_mm / elements_per_pitch
-    z = thickness_mm - lines(_FIRST * size_mm, thickness_mm, _GROWTH)[::-1]
-    x, y = (_edges(half, rim, size_mm) for half, rim in zip(halves, along, strict=True))
-    block = Quarter((x, y, z), poisson_ratio)
-    lattice = _Lattice(counts, pitch_mm, (halves[0], halves[1]))
-    quarter = tuple((count + 1) // 2 for count in counts)
-    moved = lattice.moved(block, quarter)
-    missing = _missing(counts, pitch_mm, thickness_mm, poisson_ratio, z, size_mm)
-    for row, col in np.ndindex(moved.shape[:2]):
-        # The cell is in the last quarter of the lattice.
-        at_row, at_col = rows // 2 + row, cols // 2 + col
-        down, right = np.arange(rows) - at_row, np.arange(cols) - at_col
-        near = np.ix_(np.abs(down) <= _REACH, np.abs(right) <= _REACH)
-        moved[row, col][near] += missing[
-            down[np.abs(down) <= _REACH][:, None] + _REACH, right[np.abs(right) <= _REACH] + _REACH
-        ]
+    gel = _Gel((cols, rows), pitch_mm, thickness_mm, poisson_ratio, (along[0], along[1]), elements_per_pitch)
+    values = in_background(gel.values, progress)
     return Compliance(
-        _by_marker(moved),
+        values,
         rows=rows,
         cols=cols,
         pitch_mm=pitch_mm,
@@ -104,6 +99,86 @@ def compute_compliance(
         poisson_ratio=poisson_ratio,
         rim_mm=along,
     )
+
+
+@dataclass(frozen=True)
+class _Gel:
+    """x before y."""
+
+    counts: tuple[int, int]
+    pitch_mm: float
+    thickness_mm: float
+    poisson_ratio: float
+    rim_mm: tuple[float, float]
+    elements_per_pitch: int
+
+    def values(self, progress: Callable[[int, int], None]) -> Array:
+        """The argument of `Compliance`."""
+        cols, rows = self.counts
+        size_mm = self.pitch_mm / self.elements_per_pitch
+        quarter = ((cols + 1) // 2, (rows + 1) // 2)
+        total = len(_PARITIES) * (solves(3 * quarter[0] * quarter[1]) + solves(3))
+        done = 0
+
+        def step() -> None:
+            nonlocal done
+            done += 1
+            progress(done, total)
+
+        progress(0, total)
+        halves = [
+            0.5 * self.pitch_mm * (count - 1) + rim
+            for count, rim in zip(self.counts, self.rim_mm, strict=True)
+        ]
+        z = self.thickness_mm - lines(_FIRST * size_mm, self.thickness_mm, _GROWTH)[::-1]
+        x, y = (_edges(half, rim, size_mm) for half, rim in zip(halves, self.rim_mm, strict=True))
+        block = Quarter((x, y, z), self.poisson_ratio, step)
+        moved = _Lattice(self.counts, self.pitch_mm, (halves[0], halves[1])).moved(block, quarter)
+        missing = self._missing(z, size_mm, step)
+        for row, col in np.ndindex(moved.shape[:2]):
+            # The cell is in the last quarter of the lattice.
+            at_row, at_col = rows // 2 + row, cols // 2 + col
+            down, right = np.arange(rows) - at_row, np.arange(cols) - at_col
+            near = np.ix_(np.abs(down) <= _REACH, np.abs(right) <= _REACH)
+            moved[row, col][near] += missing[
+                down[np.abs(down) <= _REACH][:, None] + _REACH, right[np.abs(right) <= _REACH] + _REACH
+            ]
+        return _by_marker(moved)
+
+    def _missing(self, z_mm: Array, size_mm: float, step: Callable[[], None]) -> Array:
+        """(offsets down, offsets right, 3, 3) motion of the exact layer less that of the mesh in a wide
+        block.
+        """
+        few = tuple(count % 2 + 2 * (_REACH + 1) for count in self.counts)
+        regular = np.arange(0.0, (_REACH + 2) * self.pitch_mm + size_mm / 2, size_mm)
+        wide = lines(1.2 * size_mm, _WIDE * self.thickness_mm, _WIDENING)
+        edges = np.concatenate([regular, regular[-1] + wide[1:]])
+        block = Quarter((edges, edges, z_mm), self.poisson_ratio, step)
+        lattice = _Lattice((few[0], few[1]), self.pitch_mm, (float(edges[-1]), float(edges[-1])))
+        found = lattice.moved(block, (1, 1))[0, 0]
+        middle = [count // 2 for count in few]
+        around = [slice(at - _REACH, at + _REACH + 1) for at in middle]
+        return np.asarray(self._layer() - found[around[1], around[0]])
+
+    def _layer(self) -> Array:
+        """Motion of the exact layer along x, y and z, which is out of it, around a loaded cell."""
+        side = 2 * _REACH + 1
+        contact = LayerContact(
+            thickness_mm=self.thickness_mm,
+            poisson_ratio=self.poisson_ratio,
+            rows=side,
+            cols=side,
+            cell_mm=self.pitch_mm,
+        )
+        moved = np.empty((side, side, 3, 3))
+        for k in range(3):
+            pressure, traction = np.zeros((side, side)), np.zeros((side, side, 2))
+            if k < 2:
+                traction[_REACH, _REACH, k] = 1.0
+            else:
+                pressure[_REACH, _REACH] = -1.0
+            moved[..., k] = contact.load(pressure, traction).motion_mm * (1.0, 1.0, -1.0)
+        return moved
 
 
 def _check(
@@ -184,7 +259,7 @@ class _Lattice:
         on_top = np.einsum("rY,cX->YXrc", loads[1], loads[0])
         moved = np.zeros((cells[1], cells[0], self.counts[1], self.counts[0], 3, 3))
         folded = [self._folded(axis) for axis in (0, 1)]
-        for parity in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+        for parity in _PARITIES:
             forces = np.zeros((*on_top.shape[:2], 3, *on_top.shape[2:], 3))
             for k in range(3):
                 forces[:, :, k, ..., k] = on_top * self._share(parity, k, on_top.shape[2:])
@@ -216,44 +291,6 @@ class _Lattice:
                 is_even = self._signs(parity, axis)[component] > 0
                 share[middle] *= 2.0 if is_even else 0.0
         return share
-
-
-def _missing(
-    counts: tuple[int, int],
-    pitch_mm: float,
-    thickness_mm: float,
-    poisson_ratio: float,
-    z_mm: Array,
-    size_mm: float,
-) -> Array:
-    """(offsets down, offsets right, 3, 3) motion of the exact layer less that of the mesh in a wide block."""
-    few = tuple(count % 2 + 2 * (_REACH + 1) for count in counts)
-    regular = np.arange(0.0, (_REACH + 2) * pitch_mm + size_mm / 2, size_mm)
-    wide = lines(1.2 * size_mm, _WIDE * thickness_mm, _WIDENING)
-    edges = np.concatenate([regular, regular[-1] + wide[1:]])
-    block = Quarter((edges, edges, z_mm), poisson_ratio)
-    lattice = _Lattice((few[0], few[1]), pitch_mm, (float(edges[-1]), float(edges[-1])))
-    found = lattice.moved(block, (1, 1))[0, 0]
-    middle = [count // 2 for count in few]
-    around = [slice(at - _REACH, at + _REACH + 1) for at in middle]
-    return np.asarray(_layer(pitch_mm, thickness_mm, poisson_ratio) - found[around[1], around[0]])
-
-
-def _layer(pitch_mm: float, thickness_mm: float, poisson_ratio: float) -> Array:
-    """Motion of the exact layer along x, y and z, which is out of it, around a loaded cell."""
-    side = 2 * _REACH + 1
-    contact = LayerContact(
-        thickness_mm=thickness_mm, poisson_ratio=poisson_ratio, rows=side, cols=side, cell_mm=pitch_mm
-    )
-    moved = np.empty((side, side, 3, 3))
-    for k in range(3):
-        pressure, traction = np.zeros((side, side)), np.zeros((side, side, 2))
-        if k < 2:
-            traction[_REACH, _REACH, k] = 1.0
-        else:
-            pressure[_REACH, _REACH] = -1.0
-        moved[..., k] = contact.load(pressure, traction).motion_mm * (1.0, 1.0, -1.0)
-    return moved
 
 
 def _by_marker(moved: Array) -> Array:

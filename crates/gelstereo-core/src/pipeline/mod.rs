@@ -126,10 +126,14 @@ impl Pipeline {
     }
 
     /// With the gel's compliance matrix, in place of the elastic layer of `force`; from the next rest frame
-    /// on. That frame fails with [`PipelineError::Force`] if the matrix is of another lattice or gel.
-    #[must_use]
-    pub fn with_compliance(self, compliance: Option<Compliance>) -> Self {
-        Self { compliance, ..self }
+    /// on. That frame fails with [`PipelineError::Force`] if the matrix is of another lattice.
+    ///
+    /// # Errors
+    /// [`PipelineError::Force`] if the settings alone tell that it is of another lattice or gel.
+    pub fn with_compliance(self, compliance: Option<Compliance>) -> Result<Self, PipelineError> {
+        let checked = compliance.as_ref().map(|compliance| compliance.check_settings(&self.params));
+        checked.transpose().map_err(PipelineError::Force)?;
+        Ok(Self { compliance, ..self })
     }
 
     /// The settings in use.
