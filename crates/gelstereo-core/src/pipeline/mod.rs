@@ -129,7 +129,7 @@ impl Pipeline {
     /// on. That frame fails with [`PipelineError::Force`] if the matrix is of another lattice.
     ///
     /// # Errors
-    /// [`PipelineError::Force`] if the settings alone tell that it is of another lattice or gel.
+    /// [`PipelineError::Force`] if the settings alone show that it is of another lattice or gel.
     pub fn with_compliance(self, compliance: Option<Compliance>) -> Result<Self, PipelineError> {
         let checked = compliance.as_ref().map(|compliance| compliance.check_settings(&self.params));
         checked.transpose().map_err(PipelineError::Force)?;
