@@ -11,48 +11,58 @@ from gelstereo import DenseSurface, RestSurface, pressure_saliency
 ROWS, COLS, PITCH_MM, DECAY_MM = 13, 11, 0.9, 2.0
 
 
-def lattice() -> np.ndarray:
-    y, x = np.mgrid[:ROWS, :COLS] * PITCH_MM
-    return np.stack([x.ravel(), y.ravel(), np.full(x.size, 28.7)], axis=1)
+def lattice(layout: str = "square") -> np.ndarray:
+    row, col = (grid.ravel().astype(float) for grid in np.mgrid[:ROWS, :COLS])
+    if layout == "hexagonal":
+        row, col = np.sqrt(0.75) * row, col + 0.5 * (row % 2)
+    return np.stack([PITCH_MM * col, PITCH_MM * row, np.full(col.size, 28.7)], axis=1)
 
 
-def stencils() -> np.ndarray:
+def beside(layout: str) -> np.ndarray:
+    """Whether two markers are neighbours."""
+    points = lattice(layout)
+    apart = np.linalg.norm(points[:, None] - points, axis=2)
+    return (apart > 0.0) & (apart < 1.01 * PITCH_MM)
+
+
+def stencils(layout: str) -> np.ndarray:
     """h - l² Δh as a matrix, borders mirrored."""
-
-    def second_difference(n: int) -> np.ndarray:
-        d = np.diff(np.eye(n), axis=0)
-        return -d.T @ d / PITCH_MM**2
-
-    laplacian = np.kron(second_difference(ROWS), np.eye(COLS)) + np.kron(
-        np.eye(ROWS), second_difference(COLS)
-    )
+    near = beside(layout).astype(float)
+    share = 2.0 / 3.0 if layout == "hexagonal" else 1.0
+    laplacian = share * (near - np.diag(near.sum(axis=1))) / PITCH_MM**2
     return np.eye(ROWS * COLS) - DECAY_MM**2 * laplacian
 
 
-def test_labels_are_a_best_answer_to_kriged_pressures() -> None:
+@pytest.mark.parametrize(("layout", "whole"), [("square", 4), ("hexagonal", 6)])
+def test_labels_are_a_best_answer_to_kriged_pressures(layout: str, whole: int) -> None:
     """Every label agrees with NumPy's own conditional pressure: no single change would lower the energy."""
     random = np.random.default_rng(3)
-    a, n, sigma = stencils(), ROWS * COLS, 0.006
+    a, n, sigma, near = stencils(layout), ROWS * COLS, 0.006, beside(layout)
     r, c = np.divmod(np.arange(n), COLS)
     force = ((abs(r - 6) <= 3) & (abs(c - 5) <= 2)) * 1.5
     heights = np.linalg.solve(a, force) + sigma * random.normal(size=n)
     salient, pressure = pressure_saliency(
-        RestSurface(lattice()), heights, np.full(n, sigma**2), rows=ROWS, cols=COLS, decay_mm=DECAY_MM
+        RestSurface(lattice(layout)),
+        heights,
+        np.full(n, sigma**2),
+        rows=ROWS,
+        cols=COLS,
+        decay_mm=DECAY_MM,
+        layout=layout,
     )
     # Round-off of a few products of 30.
     np.testing.assert_allclose(pressure, a @ heights, atol=1e-12)
     covariance = sigma**2 * a @ a.T
     # Of markers at the border the pressure is known from fewer neighbours, and predicts nothing.
-    inner = (r > 0) & (r < ROWS - 1) & (c > 0) & (c < COLS - 1)
+    inner = near.sum(axis=1) == whole
     for i in range(n):
-        near = (abs(r - r[i]) + abs(c - c[i]) <= 2) & inner & inner[i] & ~salient
-        near[i] = False
-        share = np.linalg.solve(covariance[np.ix_(near, near)], covariance[near, i])
-        left = pressure[i] - share @ pressure[near]
-        variance = covariance[i, i] - share @ covariance[near, i]
+        used = (abs(covariance[i]) > 0.0) & inner & inner[i] & ~salient
+        used[i] = False
+        share = np.linalg.solve(covariance[np.ix_(used, used)], covariance[used, i])
+        left = pressure[i] - share @ pressure[used]
+        variance = covariance[i, i] - share @ covariance[used, i]
         choice = 4.0 * max(heights[i], 0.0) / np.sqrt(2.0 * np.pi * variance)
-        beside = abs(r - r[i]) + abs(c - c[i]) == 1
-        edges = 4.0 * (beside.sum() - 2 * (beside & salient).sum())
+        edges = 4.0 * (near[i].sum() - 2 * (near[i] & salient).sum())
         score = left * abs(left) / variance - 2.0 * np.log1p(choice) - edges
         assert (score > -1e-6) == salient[i] or abs(score) < 1e-6, i
     assert np.array_equal(salient, force > 0)
@@ -69,6 +79,10 @@ def test_pressure_refuses_by_name() -> None:
         pressure_saliency(rest, np.zeros(12), np.ones(n), **good)
     salient, _ = pressure_saliency(rest, np.full(n, np.nan), np.ones(n), **good)
     assert not salient.any()
+    with pytest.raises(ValueError, match='the layout is "round"; valid are "square" and "hexagonal"'):
+        pressure_saliency(rest, np.zeros(n), np.ones(n), **good, layout="round")
+    with pytest.raises(gelstereo.ContactError, match="143"):
+        pressure_saliency(rest, np.zeros(n), np.ones(n), **{**good, "rows": ROWS + 1}, layout="hexagonal")
 
 
 def test_row_13_exact_lattice_agrees_with_scipys_hull() -> None:

@@ -1,10 +1,11 @@
 """Evaluate contact detection on all stored contacts, without images: `python -m outside.judge_contacts
-[--half w|j] [--noise-um SIGMA]`.
+[--half w|j] [--noise-um SIGMA] [--layout square|hexagonal]`.
 
 Markers 0.85 mm apart have the true displacement and noise along z, and the rules classify them. F1 is the
 mean over contacts with at least four markers in contact. `found` is the share of contacts, among those with a
 marker in contact, in which at least one is found. The last column is a reference that is given the gel's
-thickness and Poisson's ratio (`layer_contact`); it states what the pitch of the markers allows.
+thickness and Poisson's ratio (`layer_contact`); it states what the pitch of the markers allows. It works on
+square prints only.
 """
 
 from __future__ import annotations
@@ -29,6 +30,8 @@ Array = npt.NDArray[np.float64]
 Rule = tuple[str, float]
 
 ROWS, PITCH_MM, SURFACE_MM = 25, 0.85, 27.0
+#: Rows of a print; those of a hexagonal one are nearer to each other.
+ROWS_OF = {"square": ROWS, "hexagonal": 29}
 RULES: list[Rule] = [
     ("adaptive", 2.5),
     *(("pressure", decay_mm) for decay_mm in (0.7, 1.0, 1.6, 2.5)),
@@ -63,30 +66,38 @@ def group(contact: Field) -> str:
     return str(contact.meta.get("law") or f"gel {contact.meta['gel']}")
 
 
-def salient(flat: Array, moved: Array, sigma_mm: float, rule: str, setting: float) -> Flags:
+def print_mm(layout: str) -> Array:
+    """(N, 2) places of a print's markers, row by row, about its middle."""
+    row, col = (grid.ravel().astype(float) for grid in np.mgrid[: ROWS_OF[layout], :ROWS])
+    if layout == "hexagonal":
+        row, col = np.sqrt(0.75) * row, col + 0.5 * (row % 2)
+    places = PITCH_MM * np.stack([col, row], axis=1)
+    return np.asarray(places - 0.5 * (places.min(axis=0) + places.max(axis=0)))
+
+
+def salient(
+    flat: Array, moved: Array, sigma_mm: float, rule: str, setting: float, layout: str = "square"
+) -> Flags:
     """Markers in contact by a rule and its parameter in mm, a threshold or a decay length."""
     rest = gelstereo.RestSurface(flat)
     indentation = rest.indentation_mm(moved)
     if rule == "depth":
         return np.asarray(indentation > setting)
     variance = np.full(len(flat), sigma_mm**2)
+    shape = {"rows": ROWS_OF[layout], "cols": ROWS, "layout": layout}
     if rule == "adaptive":
-        found, _ = gelstereo.adaptive_saliency(
-            rest, indentation, variance, rows=ROWS, cols=ROWS, max_decay_mm=setting
-        )
+        found, _ = gelstereo.adaptive_saliency(rest, indentation, variance, **shape, max_decay_mm=setting)
         return np.asarray(found).ravel()
-    found, _ = gelstereo.pressure_saliency(
-        rest, indentation, variance, rows=ROWS, cols=ROWS, decay_mm=setting
-    )
+    found, _ = gelstereo.pressure_saliency(rest, indentation, variance, **shape, decay_mm=setting)
     return np.asarray(found).ravel()
 
 
-def judge(sigma_mm: float, half: str, rules: list[Rule]) -> dict[str, dict[Rule, Scores]]:
+def judge(
+    sigma_mm: float, half: str, rules: list[Rule], layout: str = "square"
+) -> dict[str, dict[Rule, Scores]]:
     """Scores of every rule on the contacts of a half, by law or gel."""
-    along = (np.arange(ROWS) - 0.5 * (ROWS - 1)) * PITCH_MM
-    y, x = np.meshgrid(along, along, indexing="ij")
     # Lattice offset from the part's middle, as in practice.
-    points = np.stack((x.ravel() + 0.17, y.ravel() - 0.29), axis=1)
+    points = print_mm(layout) + [0.17, -0.29]
     flat = np.column_stack((points, np.full(len(points), SURFACE_MM)))
     gels = table()["gels"]
     scores: dict[str, dict[Rule, Scores]] = defaultdict(lambda: defaultdict(Scores))
@@ -100,10 +111,10 @@ def judge(sigma_mm: float, half: str, rules: list[Rule]) -> dict[str, dict[Rule,
             moved = flat + contact.motion(stage, points)
             moved[:, 2] += noise
             for rule in rules if true.any() else []:
-                flags = salient(flat, moved, sigma_mm, *rule)
+                flags = salient(flat, moved, sigma_mm, *rule, layout)
                 scores[group(contact)][rule].add(flags, true)
             gel = gels.get(contact.meta.get("gel"))
-            if gel is not None and true.any():
+            if gel is not None and true.any() and layout == "square":
                 flags = layer_contact.touching(
                     flat[:, 2] - moved[:, 2], ROWS, PITCH_MM, gel["thickness_mm"], gel["poisson_ratio"]
                 )
@@ -116,11 +127,12 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--noise-um", type=float, default=5.0)
     parser.add_argument("--half", choices=["w", "j"], help="both without")
+    parser.add_argument("--layout", choices=sorted(ROWS_OF), default="square", help="of the print")
     arguments = parser.parse_args()
     sigma_mm, titles = arguments.noise_um / 1000, {"w": "for work", "j": "judged"}
     for half in arguments.half or titles:
         title = titles[half]
-        scores = judge(sigma_mm, half, RULES)
+        scores = judge(sigma_mm, half, RULES, arguments.layout)
         names = " | ".join(f"{rule} {setting}" for rule, setting in [*RULES, REFERENCE])
         sys.stdout.write(f"\n{title}\n\n| law | contacts | {names} |\n" + (len(RULES) + 3) * "|---" + "|\n")
         for law, by_rule in sorted(scores.items()):

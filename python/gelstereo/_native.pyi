@@ -577,6 +577,7 @@ def pressure_saliency(
     rows: int,
     cols: int,
     decay_mm: float,
+    layout: Literal["square", "hexagonal"] = "square",
 ) -> tuple[npt.NDArray[np.bool_], _Floats]: ...
 def adaptive_saliency(
     rest: RestSurface,
@@ -586,6 +587,7 @@ def adaptive_saliency(
     rows: int,
     cols: int,
     max_decay_mm: float,
+    layout: Literal["square", "hexagonal"] = "square",
 ) -> tuple[npt.NDArray[np.bool_], tuple[Literal["pressure", "share"], float] | None]: ...
 def skin_over(
     rest: RestSurface,
@@ -595,6 +597,7 @@ def skin_over(
     cols: int,
     depth_mm: float,
     depth_sigma_mm: float = 0.0,
+    layout: Literal["square", "hexagonal"] = "square",
 ) -> tuple[_Floats, _Floats]: ...
 
 @final

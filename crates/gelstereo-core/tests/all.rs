@@ -59,6 +59,7 @@ mod register_surface;
 mod rigid_fit;
 mod skin;
 mod slip;
+mod slip_hexagonal;
 mod solid;
 mod stop;
 mod symmetric_copies;

@@ -5,6 +5,7 @@ use crate::errors::raise;
 use gelstereo_core::contact as core;
 use gelstereo_core::lattice::Topology;
 use gelstereo_core::math::DVec3;
+use gelstereo_core::params::PrintLayout;
 use gelstereo_core::pipeline::{Skin, SkinDepth};
 use gelstereo_core::track::MarkerState;
 use numpy::PyArray3;
@@ -108,6 +109,8 @@ impl RestSurface {
 /// rows, cols : int
 /// decay_mm : float
 ///     Length over which the surface comes back to rest beside a contact.
+/// layout : {"square", "hexagonal"}
+///     As ``lattice.layout``: which markers are neighbours.
 ///
 /// Returns
 /// -------
@@ -120,8 +123,11 @@ impl RestSurface {
 /// ------
 /// ContactError
 ///     If a list has not rows * cols entries, or a variance is negative or not finite.
+/// ValueError
+///     If the layout has another name.
 #[pyfunction]
-#[pyo3(signature = (rest, indentation_mm, variance_mm2, *, rows, cols, decay_mm))]
+#[pyo3(signature = (rest, indentation_mm, variance_mm2, *, rows, cols, decay_mm, layout="square"))]
+#[expect(clippy::too_many_arguments, reason = "keyword arguments of Python")]
 pub fn pressure_saliency(
     py: Python<'_>,
     rest: &RestSurface,
@@ -130,12 +136,14 @@ pub fn pressure_saliency(
     rows: Count,
     cols: Count,
     decay_mm: f64,
+    layout: &str,
 ) -> PyResult<(Array1<bool>, Array1<f64>)> {
     let heights = Numbers::new(indentation_mm, "indentation_mm")?;
     let variances = Numbers::new(variance_mm2, "variance_mm2")?;
     let heights = heights.list()?;
     let state = measured(heights);
-    let mut pressure = core::Pressure::new(&rest.inner, rows.0, cols.0, decay_mm).map_err(raise)?;
+    let topology = topology(layout, rows.0, cols.0, &rest.inner)?;
+    let mut pressure = core::Pressure::on(&rest.inner, topology, decay_mm).map_err(raise)?;
     let mut salient = Vec::new();
     pressure.run(heights, variances.list()?.iter().copied(), &state, &mut salient).map_err(raise)?;
     Ok((arrays::list(py, salient), arrays::list(py, pressure.pressure_mm().to_vec())))
@@ -158,6 +166,8 @@ pub fn pressure_saliency(
 /// rows, cols : int
 /// max_decay_mm : float
 ///     Longest length tried over which the surface comes back to rest beside a contact.
+/// layout : {"square", "hexagonal"}
+///     As ``lattice.layout``: which markers are neighbours.
 ///
 /// Returns
 /// -------
@@ -170,8 +180,11 @@ pub fn pressure_saliency(
 /// ------
 /// ContactError
 ///     If a list has not rows * cols entries, or a variance is negative or not finite.
+/// ValueError
+///     If the layout has another name.
 #[pyfunction]
-#[pyo3(signature = (rest, indentation_mm, variance_mm2, *, rows, cols, max_decay_mm))]
+#[pyo3(signature = (rest, indentation_mm, variance_mm2, *, rows, cols, max_decay_mm, layout="square"))]
+#[expect(clippy::too_many_arguments, reason = "keyword arguments of Python")]
 pub fn adaptive_saliency(
     py: Python<'_>,
     rest: &RestSurface,
@@ -180,13 +193,14 @@ pub fn adaptive_saliency(
     rows: Count,
     cols: Count,
     max_decay_mm: f64,
+    layout: &str,
 ) -> PyResult<(Array1<bool>, Option<RuleName>)> {
     let heights = Numbers::new(indentation_mm, "indentation_mm")?;
     let variances = Numbers::new(variance_mm2, "variance_mm2")?;
     let heights = heights.list()?;
     let state = measured(heights);
-    let mut adaptive =
-        core::AdaptiveSaliency::new(&rest.inner, rows.0, cols.0, max_decay_mm).map_err(raise)?;
+    let topology = topology(layout, rows.0, cols.0, &rest.inner)?;
+    let mut adaptive = core::AdaptiveSaliency::on(&rest.inner, topology, max_decay_mm).map_err(raise)?;
     let mut salient = Vec::new();
     let found =
         adaptive.run(heights, variances.list()?.iter().copied(), &state, &mut salient).map_err(raise)?;
@@ -211,6 +225,8 @@ pub fn adaptive_saliency(
 ///     Depth of the print below the skin.
 /// depth_sigma_mm : float
 ///     Its standard deviation.
+/// layout : {"square", "hexagonal"}
+///     As ``lattice.layout``: which markers are neighbours.
 ///
 /// Returns
 /// -------
@@ -224,8 +240,11 @@ pub fn adaptive_saliency(
 /// ------
 /// ContactError
 ///     If the number of markers differs or a coordinate is not finite.
+/// ValueError
+///     If another argument is not valid.
 #[pyfunction]
-#[pyo3(signature = (rest, points_mm, covariance_mm2, *, cols, depth_mm, depth_sigma_mm=0.0))]
+#[pyo3(signature = (rest, points_mm, covariance_mm2, *, cols, depth_mm, depth_sigma_mm=0.0, layout="square"))]
+#[expect(clippy::too_many_arguments, reason = "keyword arguments of Python")]
 pub fn skin_over(
     py: Python<'_>,
     rest: &RestSurface,
@@ -234,6 +253,7 @@ pub fn skin_over(
     cols: Count,
     depth_mm: f64,
     depth_sigma_mm: f64,
+    layout: &str,
 ) -> PyResult<(Matrix, Py<PyArray3<f64>>)> {
     let (points, covariances) =
         (Numbers::new(points_mm, "points_mm")?, Numbers::new(covariance_mm2, "covariance_mm2")?);
@@ -255,11 +275,25 @@ pub fn skin_over(
             cols.0
         )));
     }
-    let topology = Topology::square(points.len() / cols.0, cols.0);
+    let topology = topology(layout, points.len() / cols.0, cols.0, &rest.inner)?;
     let mut skin = Skin::new(&rest.inner, topology, depth).map_err(raise)?;
     skin.lift(&mut points, &mut covariances);
     let (count, flat) = (covariances.len(), covariances.into_iter().flatten().flatten().collect());
     Ok((arrays::rows::<_, 3>(py, points)?, arrays::shaped(py, flat, [count, 3, 3])?))
+}
+
+/// Neighbours in a print of this layout.
+fn topology(layout: &str, rows: usize, cols: usize, rest: &core::RestSurface) -> PyResult<Topology> {
+    let square = Topology::square(rows, cols);
+    match layout {
+        "square" => Ok(square),
+        // A number of rows that is wrong is refused by the core.
+        "hexagonal" if rows.checked_mul(cols) != Some(rest.points_mm().len()) => Ok(square),
+        "hexagonal" => Ok(Topology::of(PrintLayout::Hexagonal, cols, rest.points_mm())),
+        _ => Err(PyValueError::new_err(format!(
+            "the layout is \"{layout}\"; valid are \"square\" and \"hexagonal\""
+        ))),
+    }
 }
 
 /// Marker states from heights: NaN marks a marker that was not measured.

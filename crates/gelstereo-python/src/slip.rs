@@ -7,6 +7,7 @@ use crate::force::Wrench;
 use crate::moved::GivenMarkers;
 use crate::names::name;
 use crate::params::Params;
+use gelstereo_core::lattice::Topology;
 use gelstereo_core::math::DVec3;
 use gelstereo_core::slip as core;
 use pyo3::prelude::*;
@@ -192,7 +193,7 @@ impl Slip {
 /// rest : RestSurface
 ///     Row by row.
 /// params : Params
-///     Its table ``slip`` is used.
+///     Its table ``slip`` and ``lattice.layout`` are used.
 /// cols : int
 ///     Markers in a row.
 ///
@@ -218,7 +219,8 @@ impl SlipTracker {
     #[new]
     #[pyo3(signature = (rest, params, *, cols))]
     fn new(rest: &RestSurface, params: &Params, cols: Count) -> PyResult<Self> {
-        let made = core::SlipTracker::new(&params.inner.slip, rest.core(), cols.0);
+        let topology = Topology::of(params.inner.lattice.layout, cols.0, rest.core().points_mm());
+        let made = core::SlipTracker::on(&params.inner.slip, rest.core(), topology);
         Ok(Self { inner: Mutex::new(made.map_err(raise)?) })
     }
 

@@ -7,6 +7,7 @@ mod decay;
 mod detector;
 mod pressure;
 mod rule;
+mod sharing;
 mod stencils;
 mod stereo_mismatch;
 

@@ -6,14 +6,13 @@
 //!
 //! One stencil multiplies the noise of h by 1 + 8 l² / pitch², so a plain threshold on p fails. But at a
 //! marker known to be free, p *is* noise, and neighbouring stencils share markers. The noise of p at a
-//! marker is therefore predicted from the free ones among the twelve markers around it whose stencils
-//! share a height with its own (simple kriging), and subtracted. Labels of a Markov random field that
-//! couples neighbours are updated simultaneously, in a few rounds, where the pressure alone does not
-//! decide. Far from contacts the weights of a regular lattice select the markers to classify.
-//!
-//! In a hexagonal print nothing is predicted: there, each pressure is judged by its own noise.
+//! marker is therefore predicted from the free ones among the markers around it whose stencils share a
+//! height with its own (simple kriging), and subtracted: twelve in a square print, eighteen in a hexagonal
+//! one. Labels of a Markov random field that couples neighbours are updated simultaneously, in a few rounds,
+//! where the pressure alone does not decide. Far from contacts the weights of a regular lattice select the
+//! markers to classify.
 
-use super::covariances::{AROUND, COUNT, Covariances, Even};
+use super::covariances::Prediction;
 use super::rule::{self, MIN_SIGMA_MM, START};
 use super::stencils::{Regions, Stencils};
 use super::{ContactError, RestSurface};
@@ -32,15 +31,14 @@ const UNCERTAIN: core::ops::Range<f64> = -1.0..6.0;
 #[derive(Clone, Debug, Default)]
 pub struct Pressure {
     stencils: Stencils,
-    /// Whether the noise of a marker's pressure is predicted from those around it: in a square lattice, if it
-    /// and its four neighbours lie inside.
+    /// Whether the noise of a marker's pressure is predicted from those around it: if it has neighbours on
+    /// both sides along every axis.
     inner: Vec<bool>,
-    even: Even,
+    prediction: Prediction,
     /// Variances of the heights; the least one for a marker that was not seen.
     variance_mm2: Vec<f64>,
     pressure_mm: Vec<f64>,
     noise_mm2: Vec<f64>,
-    covariances: Covariances,
     /// Whether all heights behind a pressure were seen.
     valid: Vec<bool>,
     /// Pressures divided by their standard deviations; then the evidence of contact, such a score squared
@@ -68,10 +66,10 @@ impl Pressure {
     /// As [`Self::new`].
     pub fn on(rest: &RestSurface, topology: Topology, decay_mm: f64) -> Result<Self, ContactError> {
         let stencils = Stencils::new(rest, topology, decay_mm)?;
-        let is_predicted = |i: usize| !topology.is_hexagonal() && stencils.is_inner(i);
-        let inner = (0..rest.points_mm().len()).map(is_predicted).collect();
-        let mut pressure = Self { inner, stencils, ..Self::default() };
-        pressure.even = pressure.regular();
+        let inner = (0..rest.points_mm().len()).map(|i| stencils.is_inner(i)).collect();
+        let prediction = Prediction::new(topology.is_hexagonal());
+        let mut pressure = Self { inner, stencils, prediction, ..Self::default() };
+        pressure.set_even();
         pressure.reserve(rest.points_mm().len());
         Ok(pressure)
     }
@@ -82,22 +80,21 @@ impl Pressure {
     /// [`ContactError::Decay`] for an invalid length; the previous one is then kept.
     pub fn set_decay(&mut self, decay_mm: f64) -> Result<(), ContactError> {
         self.stencils.set_decay(decay_mm)?;
-        self.even = self.regular();
+        self.set_even();
         Ok(())
     }
 
-    /// The regular lattice with the mean weights of this one.
-    fn regular(&self) -> Even {
-        if self.stencils.topology.is_hexagonal() {
-            return Even::none();
-        }
-        let mean = |pair: [usize; 2]| {
-            let inner = self.stencils.weights.iter().zip(&self.inner).filter(|(_, inner)| **inner);
+    /// Predicts far from contacts as in a regular lattice with the mean weights of this one.
+    fn set_even(&mut self) {
+        let mean = |axis: usize| {
+            let inner = (0..self.inner.len()).filter(|&i| self.inner[i]);
+            let pairs = inner.map(|i| [1, 2].map(|side| self.stencils.weight(i, 2 * axis + side)));
             let (sum, count) =
-                inner.fold((0.0, 0.0), |(sum, count), (w, _)| (sum + w[pair[0]] + w[pair[1]], count + 2.0));
+                pairs.fold((0.0, 0.0), |(sum, count), [before, after]| (sum + before + after, count + 2.0));
             sum / f64::max(count, 1.0)
         };
-        Even::new(mean([1, 2]), mean([3, 4]))
+        let is_hexagonal = self.stencils.topology.is_hexagonal();
+        self.prediction.set_even([mean(0), mean(1), if is_hexagonal { mean(2) } else { 0.0 }]);
     }
 
     /// The decay length in use.
@@ -136,8 +133,8 @@ impl Pressure {
     fn reserve(&mut self, markers: usize) {
         let Self { variance_mm2, pressure_mm, noise_mm2, evidence, .. } = self;
         [variance_mm2, pressure_mm, noise_mm2, evidence].into_iter().for_each(|list| list.reserve(markers));
-        let Self { covariances, valid, asked, next, regions, .. } = self;
-        covariances.reserve(markers);
+        let Self { prediction, valid, asked, next, regions, .. } = self;
+        prediction.reserve(markers);
         [valid, asked, next].into_iter().for_each(|list| list.reserve(markers));
         regions.reserve(markers);
     }
@@ -164,9 +161,7 @@ impl Pressure {
         if !self.begin(out) {
             return Ok(());
         }
-        if !self.stencils.topology.is_hexagonal() {
-            self.covariances.measure(&self.stencils, &self.variance_mm2);
-        }
+        self.prediction.measure(&self.stencils, &self.variance_mm2);
         self.next.clear();
         self.next.extend_from_slice(out);
         self.evidence.iter_mut().for_each(|score| *score *= abs(*score));
@@ -261,10 +256,9 @@ impl Pressure {
     fn stands_out(&self, i: usize) -> bool {
         let (mut left_mm, mut variance_mm2) = (self.pressure_mm[i], self.noise_mm2[i]);
         if self.stencils.is_inside(i, 3) {
-            for (&(row, col), weight) in AROUND.iter().zip(&self.even.weights) {
-                left_mm -= weight * self.pressure_mm[self.stencils.beside(i, row, col)];
-            }
-            variance_mm2 *= self.even.left;
+            let share;
+            (left_mm, share) = self.prediction.left_over(&self.stencils, i, &self.pressure_mm);
+            variance_mm2 *= share;
         }
         rule::stands_out(left_mm, variance_mm2)
     }
@@ -273,17 +267,10 @@ impl Pressure {
     fn judge(&mut self, i: usize, height_mm: f64, contact: &[bool]) -> bool {
         let (mut pressure_mm, mut variance_mm2) = (self.pressure_mm[i], self.noise_mm2[i]);
         if self.inner[i] {
-            let (mut places, mut values, mut count) = ([0; COUNT], [0.0; COUNT], 0);
-            for (place, &(row, col)) in AROUND.iter().enumerate() {
-                let Some(k) = self.stencils.within(i, row, col) else { continue };
-                if !contact[k] && self.inner[k] && self.valid[k] {
-                    (places[count], values[count]) = (place, self.pressure_mm[k]);
-                    count += 1;
-                }
-            }
+            let is_free = |k: usize| !contact[k] && self.inner[k] && self.valid[k];
             let predicted;
             (predicted, variance_mm2) =
-                self.covariances.predict(&self.stencils, i, &places[..count], &values);
+                self.prediction.predict(&self.stencils, i, is_free, &self.pressure_mm);
             pressure_mm -= predicted;
         }
         // Where a height is missing, the neighbours alone decide.

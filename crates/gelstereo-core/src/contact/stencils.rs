@@ -90,24 +90,18 @@ impl Stencils {
         self.taps(i).count() == 1 + 2 * self.topology.axes()
     }
 
+    /// Weight of a tap: 0 is the marker, then before and after it along each axis.
+    pub fn weight(&self, i: usize, tap: usize) -> f64 {
+        let weights = &self.weights[i];
+        weights.get(tap).copied().unwrap_or_else(|| self.leaning[i][tap - weights.len()])
+    }
+
     /// Markers up to `reach` rows and columns from one.
     pub fn window(&self, i: usize, reach: usize) -> impl Iterator<Item = usize> + use<> {
         let (row, col, cols) = (i / self.cols, i % self.cols, self.cols);
         let across = col.saturating_sub(reach)..(col + reach + 1).min(self.cols);
         let down = row.saturating_sub(reach)..(row + reach + 1).min(self.rows);
         down.flat_map(move |r| across.clone().map(move |c| r * cols + c))
-    }
-
-    /// Marker at this row and column offset from one that is at least as far from the border.
-    pub const fn beside(&self, i: usize, row: isize, col: isize) -> usize {
-        i.wrapping_add_signed(row * self.cols as isize + col)
-    }
-
-    /// The same for any marker, if it exists.
-    pub fn within(&self, i: usize, row: isize, col: isize) -> Option<usize> {
-        let down = (i / self.cols).checked_add_signed(row).filter(|&row| row < self.rows)?;
-        let across = (i % self.cols).checked_add_signed(col).filter(|&col| col < self.cols)?;
-        Some(down * self.cols + across)
     }
 
     /// Whether a marker is at least `reach` rows and columns from the border.
@@ -132,7 +126,7 @@ fn second_difference(before: Option<f64>, after: Option<f64>) -> [f64; 2] {
     }
 }
 
-/// Regions of 8-connected markers; scratch.
+/// Regions of markers that are connected by [`Topology::around`]; scratch.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Regions {
     seen: Vec<bool>,
@@ -179,7 +173,7 @@ impl Regions {
                 let i = region[next] as usize;
                 next += 1;
                 excess += (evidence[i] - WEAK).max(0.0);
-                for j in lattice.window(i, 1) {
+                for j in lattice.topology.around(i) {
                     if contact[j] && !seen[j] {
                         seen[j] = true;
                         region.push(j as u32);

@@ -35,6 +35,7 @@ pub use layout::Layout;
 pub(crate) use rest::rest_lattice_by;
 pub use rest::{rest_lattice, rest_lattice_of};
 pub use topology::Topology;
+pub(crate) use topology::{Offset, STEPS};
 pub(crate) use view_lattice::ViewLattice;
 
 use crate::math::DVec2;

@@ -367,7 +367,7 @@ impl Pipeline {
         let force = (asked.method != ForceMethod::None).then(|| self.estimator(asked, surface));
         let force = force.transpose().map_err(PipelineError::Force)?;
         let asked = &self.params.slip;
-        let slip = (asked.method != SlipMethod::None).then(|| SlipTracker::new(asked, surface, cols));
+        let slip = (asked.method != SlipMethod::None).then(|| SlipTracker::on(asked, surface, self.topology));
         let slip = slip.transpose().map_err(PipelineError::Slip)?;
         self.touching.reserve(rest.points_mm().len());
         (self.skin, self.force, self.slip, self.rest) = (skin, force, slip, Some(rest));

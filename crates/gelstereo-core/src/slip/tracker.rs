@@ -6,6 +6,7 @@ use super::margin::Margin;
 use super::stick::{Slip, SlipStatus, Stick};
 use crate::contact::RestSurface;
 use crate::force::MovedMarkers;
+use crate::lattice::Topology;
 use crate::math::linalg::Symmetric;
 use crate::math::{DMat3, DVec3, Factor, Pose, hypot, sqrt};
 use crate::params::SlipParams;
@@ -76,7 +77,7 @@ struct Anchor {
 #[derive(Clone, Debug)]
 pub struct SlipTracker {
     params: SlipParams,
-    cols: usize,
+    topology: Topology,
     /// Two directions along the gel.
     along: [DVec3; 2],
     /// Towards the camera.
@@ -97,17 +98,26 @@ impl SlipTracker {
     /// # Errors
     /// [`SlipError::Params`], or [`SlipError::Lattice`] unless the markers fill whole rows.
     pub fn new(params: &SlipParams, rest: &RestSurface, cols: usize) -> Result<Self, SlipError> {
+        let rows = rest.points_mm().len().checked_div(cols).unwrap_or(0);
+        Self::on(params, rest, Topology::square(rows, cols))
+    }
+
+    /// As [`Self::new`], for a print of any topology.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn on(params: &SlipParams, rest: &RestSurface, topology: Topology) -> Result<Self, SlipError> {
         params.validate().map_err(SlipError::Params)?;
         let markers = rest.points_mm().len();
-        if cols == 0 || !markers.is_multiple_of(cols) {
-            return Err(SlipError::Lattice { markers, cols });
+        if topology.places() != markers {
+            return Err(SlipError::Lattice { markers, cols: topology.cols() });
         }
         let (x, y) = rest.normal().any_orthonormal_pair();
         let mut anchors = Vec::new();
         anchors.resize(markers, Anchor::default());
         Ok(Self {
             params: params.clone(),
-            cols,
+            topology,
             along: [x, y],
             up: rest.normal(),
             anchors,
@@ -354,22 +364,15 @@ impl SlipTracker {
         Slip { status, stick_ratio: ratio, stick_range, motion, margin }
     }
 
-    /// Whether a neighbour in the row or column does not touch the part.
+    /// Whether a neighbour does not touch the part, or is missing.
     fn is_border(&self, i: usize) -> bool {
-        let (cols, column, touches) = (self.cols, i % self.cols, &self.touches);
-        let out = |inside: bool, j: usize| !(inside && touches[j]);
-        out(column > 0, i.wrapping_sub(1))
-            || out(column + 1 < cols, i + 1)
-            || out(i >= cols, i.wrapping_sub(cols))
-            || out(i + cols < touches.len(), i + cols)
+        let touching = self.topology.neighbours(i).filter(|&k| self.touches[k]);
+        touching.count() < 2 * self.topology.axes()
     }
 
-    /// Whether a marker outside the patch has one of its eight neighbours in it.
+    /// Whether a marker outside the patch has one of those around it in the patch.
     fn is_beside(&self, patch: &[bool], i: usize) -> bool {
-        let (row, column, rows) = (i / self.cols, i % self.cols, patch.len() / self.cols);
-        let columns = column.saturating_sub(1)..(column + 2).min(self.cols);
-        let mut near = row.saturating_sub(1)..(row + 2).min(rows);
-        !patch[i] && near.any(|row| columns.clone().any(|column| patch[row * self.cols + column]))
+        !patch[i] && self.topology.around(i).any(|k| patch[k])
     }
 }
 
