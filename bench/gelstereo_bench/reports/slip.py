@@ -1,6 +1,7 @@
 """Slip of simulated parts that are dragged, twisted, rolled and pressed, beside the true state of markers.
 
-Run ``python -m gelstereo_bench.reports.slip`` to fill the tables in docs/slip.md.
+Run ``python -m gelstereo_bench.reports.slip`` to fill the tables in docs/slip.md, and with
+``--layout hexagonal`` the one of hexagonal prints.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ import argparse
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -51,6 +53,8 @@ MOTIONS = ("drag", "twist", "roll", "press")
 #: Noise of a marker, mm.
 SIGMA_MM = np.array([0.0015, 0.0015, 0.005])
 SIDE, _PRESSING, _MOVING = 25, 5, 28
+#: Rows of a print; those of a hexagonal one, of as many columns and the same pitch, are nearer to each other.
+_ROWS = {"square": SIDE, "hexagonal": 29}
 #: Stick ratio of the true contact below which a slip is found late, and below which it is gross.
 _LATE, _GROSS = 0.7, 0.1
 
@@ -88,6 +92,7 @@ class Run:
     steps: list[Step]
     friction: float
     thickness_mm: float
+    layout: str = "square"
 
 
 @dataclass(frozen=True)
@@ -120,11 +125,12 @@ def _indenter(kind: str, random: np.random.Generator) -> tuple[dict[str, object]
     return {"kind": "box", "size_mm": [*random.uniform(4.0, 10.0, 2), 6.0]}, 3.0
 
 
-def _run(kind: str, motion: str, random: np.random.Generator) -> Run:
+def _run(kind: str, motion: str, random: np.random.Generator, layout: str) -> Run:
     friction = random.uniform(0.2, 1.2) if motion in ("drag", "twist") else random.uniform(1.0, 2.0)
     indenter, reach = _indenter(kind, random)
     thickness_mm = random.uniform(3.0, 5.0)
-    gel = {**Scene().to_dict()["gel"], "thickness_mm": thickness_mm}
+    printed = {"layout": layout, "rows": _ROWS[layout], "cols": SIDE}
+    gel = {**Scene().to_dict()["gel"], **printed, "thickness_mm": thickness_mm}
     scene = Scene().replace(indenter=indenter, gel=gel, effects={"elastic_layer": {"friction": friction}})
     simulator = Simulator(scene)
     up, none = np.array([0.0, 0.0, 1.0]), np.zeros(3)
@@ -161,26 +167,29 @@ def _run(kind: str, motion: str, random: np.random.Generator) -> Run:
             move = _about(centre, none, (-0.02 if step < _MOVING // 2 else 0.02) * up)
         pose = move @ pose
         advance(pose)
-    return Run(kind, motion, steps, friction, thickness_mm)
+    return Run(kind, motion, steps, friction, thickness_mm, layout)
 
 
-def runs(count: int, seed: int) -> Iterator[Run]:
+def runs(count: int, seed: int, layout: str = "square") -> Iterator[Run]:
     """Contacts of each kind in turn. Drags are twice as many as each other motion; plates do not roll."""
     random = np.random.default_rng(seed)
     motions = ("drag", *MOTIONS)
     for k in range(count):
         kind, motion = KINDS[k % 3], motions[(k // 3) % len(motions)]
-        yield _run(kind, "press" if (kind, motion) == ("plate", "roll") else motion, random)
+        yield _run(kind, "press" if (kind, motion) == ("plate", "roll") else motion, random, layout)
 
 
-def touched(step: Step, rest: RestSurface, points_mm: Array | None) -> npt.NDArray[np.bool_]:
+def touched(
+    step: Step, rest: RestSurface, points_mm: Array | None, layout: str = "square"
+) -> npt.NDArray[np.bool_]:
     """Markers in contact: the true ones, or those found from the heights of these points."""
     if points_mm is None:
         return np.asarray(step.stick != Stick.FREE)
     decay_mm = Params().to_dict()["contact"]["decay_mm"]
     variance = np.full(len(points_mm), SIGMA_MM[2] ** 2)
     heights = rest.indentation_mm(points_mm)
-    patch, _ = pressure_saliency(rest, heights, variance, rows=SIDE, cols=SIDE, decay_mm=decay_mm)
+    shape: dict[str, Any] = {"rows": _ROWS[layout], "cols": SIDE, "layout": layout}
+    patch, _ = pressure_saliency(rest, heights, variance, **shape, decay_mm=decay_mm)
     return patch
 
 
@@ -196,6 +205,8 @@ def follow(
     rest_mm = run.steps[0].points_mm
     rest, count = RestSurface(rest_mm), len(rest_mm)
     params = Params().replace(
+        label={"method": "lattice"},
+        lattice={"layout": run.layout},
         slip={"method": "rigid", "strain_sigma_mm": strain[0], "strain_share": strain[1]},
         force={"method": "ridge", "thickness_mm": run.thickness_mm, "young_kpa": 100.0},
     )
@@ -206,7 +217,7 @@ def follow(
     seen, first = [], None
     for step in run.steps:
         points = step.points_mm + SIGMA_MM * random.normal(size=rest_mm.shape)
-        patch = touched(step, rest, None if patch_is_known else points)
+        patch = touched(step, rest, None if patch_is_known else points, run.layout)
         if with_forces:
             traction_kpa, _ = force.run(points, covariance, patch.tolist())
             patch = force.touching(traction_kpa, patch.tolist())
@@ -275,25 +286,41 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m gelstereo_bench.reports.slip", description=__doc__)
     parser.add_argument("--docs", type=Path, default=Path("docs"), help="folder of the manual")
     parser.add_argument("--contacts", type=int, default=180, help="number of contacts")
+    parser.add_argument("--layout", choices=sorted(_ROWS), default="square", help="of the print")
     options = parser.parse_args(arguments)
-    by_kind, by_patch = [], []
+    head = ["patch", "slip found while 0.7 stick", "false alarms", "gross slip at most one frame late"]
+    head.append("gross slip without one")
+    if options.layout != "square":
+        lines = []
+        for layout in _ROWS:
+            made = list(runs(options.contacts, seed=30, layout=layout))
+            lines += [[layout, *alarms(name, _followed(name, made))] for name in PATCHES]
+        replace_between(options.docs / "slip.md", options.layout, table(["print", *head], lines))
+        return 0
     made = list(runs(options.contacts, seed=30))
-    for name in PATCHES:
-        random = np.random.default_rng(31)
-        known, forces = name == "known patch", name.endswith("forces")
-        seen = [follow(run, random, patch_is_known=known, with_forces=forces) for run in made]
+    by_patch = {name: _followed(name, made) for name in PATCHES}
+    lines = [alarms(name, seen) for name, seen in by_patch.items()]
+    replace_between(options.docs / "slip.md", "alarms", table(head, lines))
+    by_kind = []
+    for name, seen in by_patch.items():
         for kind in KINDS:
             of_kind = [s for s, run in zip(seen, made, strict=True) if run.kind == kind]
             by_kind.append(_ratios(f"{kind}, {name}", of_kind))
-        by_patch.append(alarms(name, seen))
-    head = ["contacts", "count", "rms error of the stick ratio", "mean", "true ratio in the range, %"]
-    replace_between(options.docs / "slip.md", "ratios", table([*head, "motion, median error, um"], by_kind))
-    head = ["patch", "slip found while 0.7 stick", "false alarms", "gross slip at most one frame late"]
-    replace_between(options.docs / "slip.md", "alarms", table([*head, "gross slip without one"], by_patch))
+    columns = ["contacts", "count", "rms error of the stick ratio", "mean", "true ratio in the range, %"]
+    replace_between(
+        options.docs / "slip.md", "ratios", table([*columns, "motion, median error, um"], by_kind)
+    )
     head[:1] = ["`slip.strain_sigma_mm`", "`slip.strain_share`"]
     strains = [_strained(strain, made) for strain in STRAINS]
-    replace_between(options.docs / "slip.md", "strains", table([*head, "gross slip without one"], strains))
+    replace_between(options.docs / "slip.md", "strains", table(head, strains))
     return 0
+
+
+def _followed(patch: str, made: list[Run]) -> list[list[Seen]]:
+    """What is seen of every contact with this patch."""
+    random = np.random.default_rng(31)
+    known, forces = patch == "known patch", patch.endswith("forces")
+    return [follow(run, random, patch_is_known=known, with_forces=forces) for run in made]
 
 
 def _strained(strain: tuple[float, float], made: list[Run]) -> list[str]:
