@@ -78,9 +78,16 @@ class Beside:
     carried: float
 
 
-def presses(recording: CloudRecording, episode: range, every: int = 6) -> list[Press]:
-    """Frames of an episode, with axes along the lattice and heights positive into the gel."""
+def presses(
+    recording: CloudRecording, episode: range, every: int = 6, moved: CloudRecording | None = None
+) -> list[Press]:
+    """Frames of an episode, with axes along the lattice and heights positive into the gel.
+
+    `moved` has other points of the gel, one for each marker, whose motion is given in place of the markers'.
+    """
     heights = recording.indentation_mm()
+    moved = recording if moved is None else moved
+    lifts = moved.indentation_mm()
     shape = (recording.rows, recording.cols)
     rest = recording.rest_mm.reshape(*shape, 3)
     # Unit vectors from a column to the next and from a row to the next.
@@ -90,8 +97,8 @@ def presses(recording: CloudRecording, episode: range, every: int = 6) -> list[P
     inner[2:-2, 2:-2] = True
     found = []
     for frame in range(episode.start, episode.stop, every):
-        motion = recording.points_mm[frame] - recording.rest_mm
-        motion = np.column_stack((motion[:, :2] @ axes.T, heights[frame])).reshape(*shape, 3)
+        motion = moved.points_mm[frame] - moved.rest_mm
+        motion = np.column_stack((motion[:, :2] @ axes.T, lifts[frame])).reshape(*shape, 3)
         touches = np.zeros(shape, bool)
         for contact in contacts(heights[frame], *shape, SALIENCY_MM):
             touches.ravel()[contact.core] = True
