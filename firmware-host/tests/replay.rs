@@ -5,6 +5,7 @@ use gelstereo_core::params::{Centre, Params};
 use gelstereo_host::config::{Config, RecordingConfig, RecordingMode};
 use gelstereo_host::recording::RecordingError;
 use gelstereo_host::replay::{ReplayReport, replay};
+use gelstereo_host::report::Outcome;
 use gelstereo_host::run::{HostError, run};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
@@ -63,6 +64,35 @@ fn a_recording_gives_the_same_bits_and_a_damaged_one_says_so() {
         Err(_) => false,
     };
     assert!(noticed, "{result:?}");
+}
+
+/// The job on a sensor with a hexagonal print: the peg is grasped, located and inserted, with slip and with
+/// contact by pressure, and a replay gives the same bits.
+#[test]
+fn a_job_on_a_hexagonal_print_gives_the_same_bits() {
+    let text = "
+        preset = \"balanced\"
+        [task]
+        insertion_speed_mm_s = 20.0
+        [simulated.gel]
+        layout = \"hexagonal\"
+        rows = 25
+        cols = 23
+        [params.lattice]
+        layout = \"hexagonal\"
+        [params.contact]
+        saliency = \"pressure\"
+        [params.slip]
+        method = \"rigid\"
+    ";
+    let folder = tempfile::tempdir().unwrap();
+    let mut config = Config::parse(text, "cell.toml").unwrap();
+    config.recording.path = folder.path().join("run.mcap");
+    let report = run(&config, &AtomicBool::new(false), &mut |_| {}).unwrap();
+    assert!(matches!(report.outcome, Outcome::Inserted { .. }), "{}", report.why);
+    let frames = report.stages.iter().map(|stage| stage.frames).sum::<u64>();
+    let found = again(&config.recording.path, None).unwrap();
+    assert_eq!((found.frames, found.localizations, found.differing), (frames, 1, 0), "{found}");
 }
 
 /// A job recorded with these settings, and how many frames it had.

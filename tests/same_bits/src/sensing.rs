@@ -8,7 +8,7 @@ use alloc::vec::Vec;
 use gelstereo_core::digest::Digest;
 use gelstereo_core::params::{
     Background, Centre, DiscBias, FindAt, ForceMethod, ForceParams, LabelMethod, Motion, Params, Polarity,
-    Saliency, Search, SlipMethod, Threshold, TriangulateMethod,
+    PrintLayout, Saliency, Search, SlipMethod, Threshold, TriangulateMethod,
 };
 use gelstereo_core::pipeline::Pipeline;
 use gelstereo_sim::{Gel, Scene};
@@ -107,6 +107,19 @@ pub fn rungs(out: &mut Digests) -> Outcome<()> {
     }
     for rung in every!(SlipMethod: None Rigid) {
         add(format!("slip/{rung:?}"), &of_dark, &|params| params.slip.method = rung)?;
+    }
+    let gel = Gel { layout: PrintLayout::Hexagonal, rows: 12, cols: 10, ..dark.gel.clone() };
+    let of_hexagonal = press(&Scene { gel, ..dark.clone() })?;
+    for rung in every!(Saliency: Depth Pressure Adaptive) {
+        add(format!("hexagonal/{rung:?}"), &of_hexagonal, &|params| {
+            params.lattice.layout = PrintLayout::Hexagonal;
+            params.contact.saliency = rung;
+            params.detect.search = Search::Windows;
+            params.slip.method = SlipMethod::Rigid;
+            let (thickness_mm, young_kpa) = (Some(5.0), Some(100.0));
+            params.force =
+                ForceParams { method: ForceMethod::Bounded, thickness_mm, young_kpa, ..Default::default() };
+        })?;
     }
     add("learn_decay".into(), &of_dark, &|params| {
         params.contact.saliency = Saliency::Pressure;
