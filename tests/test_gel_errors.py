@@ -112,6 +112,54 @@ def test_a_drawn_depth_of_the_print_is_in_the_covariance_of_the_pose() -> None:
     assert np.mean(squares) > 0.3
 
 
+def test_a_drawn_shoulder_is_in_the_covariance_of_the_pose() -> None:
+    """The decay length is fitted with the pose, so that a nominal one that is off moves no pose."""
+    radius_mm, decay_mm = 5.0, 2.5
+    scene = gs.Scene().replace(
+        {
+            "gel": {"thickness_mm": 2.0 * decay_mm},
+            "indenter": {"kind": "sphere", "radius_mm": radius_mm},
+            "effects": {"shoulder": {"decay_thicknesses": 0.5}},
+        }
+    )
+    simulator = gs.Simulator(scene)
+    rest = gs.RestSurface(simulator[0].points_mm)
+    above = np.eye(4)
+    above[:3, 3] = [4.2, 0.3, 40.0]
+    centre_mm = simulator.pressed(above, 0.9)[:3, 3]
+    points = np.asarray(simulator.press(simulator.pressed(above, 0.9)).points_mm)
+    # Triangles of a coarser ball lie micrometres inside it.
+    ball = gs.Template.from_mesh(trimesh.creation.icosphere(6, radius_mm), units="mm", spacing_mm=0.6)
+    noise = np.tile(np.diag(SIGMA_MM**2), (len(points), 1, 1))
+    guess = np.eye(4)
+    guess[:3, 3] = centre_mm + [0.1, -0.1, 0.1]
+    rng, squares, fitted = np.random.default_rng(5), [], []
+    for _ in range(24):
+        # The prior of the length is a third of it.
+        nominal_mm = decay_mm * np.exp(rng.normal() / 3.0)
+        measured = points + rng.normal(size=points.shape) * SIGMA_MM
+        variance = np.full(len(points), SIGMA_MM[2] ** 2)
+        salient, _ = gs.pressure_saliency(
+            rest, rest.indentation_mm(measured), variance, rows=25, cols=25, decay_mm=decay_mm
+        )
+        found = gs.localize(
+            measured[salient],
+            ball,
+            guess=guess,
+            all_points_mm=measured,
+            covariance_mm2=noise[salient],
+            params=gs.Params.preset("exact").replace({"contact.decay_mm": nominal_mm}),
+        )
+        off_mm = found.t_sensor_object[2, 3] - centre_mm[2]
+        squares.append((off_mm / found.sigma_at(np.zeros(3))[5]) ** 2)
+        fitted.append(found.gel_decay_mm)
+    # Three standard deviations of the mean of 24 squares are 0.87.
+    assert 0.3 < np.mean(squares) < 1.9, np.mean(squares)
+    # Where the nominal length is far too long, the fit may end at a long one, too.
+    right = np.abs(np.array(fitted) / decay_mm - 1.0) < 0.1
+    assert right.sum() >= 21, fitted
+
+
 def test_a_frame_states_the_error_that_its_points_share() -> None:
     scene = gs.Scene()
     params = gs.Params.preset("fast").replace({"lattice.depth_sigma_mm": 0.1})
