@@ -116,12 +116,15 @@ def test_a_pose_after_keyframes_is_their_product() -> None:
     assert sigma[-1] > 1.5 * sigma[0]
 
 
-def test_frames_of_a_pipeline_are_followed() -> None:
+@pytest.mark.parametrize("layout", ["square", "hexagonal"])
+def test_frames_of_a_pipeline_are_followed(layout: str) -> None:
     scene = gs.Scene().replace(
+        gel={"layout": layout},
         indenter={"kind": "sphere", "radius_mm": 6.0},
         effects={"elastic_layer": {"friction": 20.0}, "sensor_noise": {}},
     )
-    sensor, params = gs.Simulator(scene), gs.Params.preset("balanced")
+    sensor = gs.Simulator(scene)
+    params = gs.Params.preset("balanced").replace({"lattice.layout": layout})
     pipeline = gs.Pipeline(scene.rig, params)
     image = sensor[0]
     rest = pipeline.process(image.left, image.right)

@@ -9,6 +9,7 @@ use crate::names::name;
 use crate::params::Params;
 use crate::slip::Slip;
 use gelstereo_core::force::MovedMarkers;
+use gelstereo_core::lattice::Topology;
 use gelstereo_core::math::DVec3;
 use gelstereo_core::motion as core;
 use numpy::PyArray3;
@@ -306,7 +307,7 @@ pub fn recognize_surface(
 /// rest : RestSurface
 ///     Row by row.
 /// params : Params
-///     Its tables ``motion`` and ``slip`` are used. ``slip.method`` may be ``"none"``.
+///     Its tables ``motion`` and ``slip`` and ``lattice.layout`` are used. ``slip.method`` may be ``"none"``.
 /// cols : int
 ///     Markers in a row.
 ///
@@ -338,7 +339,8 @@ impl MotionTracker {
     #[pyo3(signature = (rest, params, *, cols))]
     fn new(rest: &RestSurface, params: &Params, cols: Count) -> PyResult<Self> {
         let (slip, motion) = (&params.inner.slip, &params.inner.motion);
-        let made = core::MotionTracker::new(slip, motion, rest.core(), cols.0);
+        let topology = Topology::of(params.inner.lattice.layout, cols.0, rest.core().points_mm());
+        let made = core::MotionTracker::on(slip, motion, rest.core(), topology);
         Ok(Self { inner: Mutex::new(made.map_err(raise)?) })
     }
 

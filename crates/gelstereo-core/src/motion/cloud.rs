@@ -1,6 +1,7 @@
 //! The markers of a frame as points and surface elements.
 
 use crate::force::MovedMarkers;
+use crate::lattice::Topology;
 use crate::math::linalg::Symmetric;
 use crate::math::{DMat3, DVec3, Factor};
 use crate::track::MarkerState;
@@ -36,16 +37,16 @@ impl Element {
 #[derive(Clone, Debug)]
 pub(super) struct Cloud {
     pub elements: Vec<Element>,
-    cols: usize,
+    topology: Topology,
     /// Towards the camera.
     up: DVec3,
 }
 
 impl Cloud {
-    pub fn new(markers: usize, cols: usize, up: DVec3) -> Self {
+    pub fn new(topology: Topology, up: DVec3) -> Self {
         let mut elements = Vec::new();
-        elements.resize(markers, Element::default());
-        Self { elements, cols, up }
+        elements.resize(topology.places(), Element::default());
+        Self { elements, topology, up }
     }
 
     pub fn copy(&mut self, other: &Self) {
@@ -77,17 +78,16 @@ impl Cloud {
         (count > 0).then(|| used().map(|e| e.point_mm).sum::<DVec3>() / count as f64)
     }
 
-    /// Normal of the surface at a marker, from differences along its row and column. They are exact for
-    /// quadratic surfaces. With the variance by noise and, if it is known, by what is not quadratic.
+    /// Normal of the surface at a marker, from differences along its row and down, between nearest neighbours.
+    /// They are exact for quadratic surfaces. With the variance by noise and, if it is known, by what is not quadratic.
     fn normal(&self, i: usize) -> Option<(DVec3, f64, Option<f64>)> {
         let element = self.elements.get(i).filter(|e| e.is_used)?;
-        let (row, column) = (i / self.cols, i % self.cols);
-        let along = |k: isize| {
-            let column = column.checked_add_signed(k).filter(|&c| c < self.cols)?;
-            self.used_at(row * self.cols + column)
-        };
-        let down = |k: isize| self.used_at(row.checked_add_signed(k)? * self.cols + column);
-        let ((u, share_u), (v, share_v)) = (slope(&along)?, slope(&down)?);
+        let from = self.topology.row_and_col(i);
+        let line = |axis| move |k: isize| self.used_at(self.topology.step_from(from, axis, k)?);
+        let along = line(0);
+        let (u, share_u) = slope(&along)?;
+        let downwards = (1..self.topology.axes()).map(line);
+        let (down, (v, share_v)) = downwards.map(|down| slope(&down).map(|v| (down, v))).find_map(|it| it)?;
         let normal = u.cross(v).try_normalize()?;
         let normal = if normal.dot(self.up) < 0.0 { -normal } else { normal };
         let variance = normal.dot(element.covariance_mm2 * normal);
@@ -103,14 +103,10 @@ impl Cloud {
         self.elements.get(i).filter(|e| e.is_used).map(|e| e.point_mm)
     }
 
-    /// Whether a neighbour in the row or column is not in contact.
+    /// Whether a neighbour is not in contact, or missing.
     pub fn is_border(&self, i: usize) -> bool {
-        let (cols, column) = (self.cols, i % self.cols);
-        let out = |inside: bool, k: usize| !(inside && self.elements.get(k).is_some_and(|e| e.is_used));
-        out(column > 0, i.wrapping_sub(1))
-            || out(column + 1 < cols, i + 1)
-            || out(i >= cols, i.wrapping_sub(cols))
-            || out(true, i + cols)
+        let touching = self.topology.neighbours(i).filter(|&k| self.elements[k].is_used);
+        touching.count() < 2 * self.topology.axes()
     }
 }
 
@@ -153,4 +149,52 @@ pub(super) fn pitch_mm(points_mm: &[DVec3], cols: usize) -> f64 {
         }
     }
     if count > 0.0 { sum / count } else { 0.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::sqrt;
+    use proptest::prelude::*;
+
+    const SIDE: usize = 9;
+    const PITCH_MM: f64 = 0.9;
+
+    proptest! {
+        /// Normals of quadratic surfaces are exact inside the contact, whatever the print's layout.
+        #[test]
+        fn normals_of_quadratic_surfaces_are_exact(
+            hexagonal in any::<bool>(), forward in any::<bool>(),
+            slopes in prop::array::uniform2(-0.3..0.3_f64), curves in prop::array::uniform3(-0.1..0.1_f64),
+        ) {
+            let square = Topology::square(SIDE, SIDE);
+            let topology = if hexagonal { Topology::hexagonal(SIDE, SIDE, forward) } else { square };
+            let row_mm = PITCH_MM * if hexagonal { sqrt(0.75) } else { 1.0 };
+            let points_mm: Vec<DVec3> = (0..topology.places())
+                .map(|i| {
+                    let (x, y) = (PITCH_MM * topology.along(i), row_mm * (i / SIDE) as f64);
+                    let quadratic = curves[0] * x * x + curves[1] * x * y + curves[2] * y * y;
+                    DVec3::new(x, y, 30.0 + slopes[0] * x + slopes[1] * y + quadratic)
+                })
+                .collect();
+            let count = points_mm.len();
+            let covariance = DMat3::from_diagonal(DVec3::splat(1e-6)).to_cols_array_2d();
+            let mut cloud = Cloud::new(topology, DVec3::NEG_Z);
+            cloud.fill(&MovedMarkers {
+                points_mm: &points_mm,
+                covariance_mm2: &alloc::vec![covariance; count],
+                state: &alloc::vec![MarkerState::Seen; count],
+                patch: &alloc::vec![true; count],
+            });
+            for (i, element) in cloud.elements.iter().enumerate() {
+                let DVec3 { x, y, .. } = points_mm[i];
+                let right = slopes[0] + 2.0 * curves[0] * x + curves[1] * y;
+                let down = slopes[1] + curves[1] * x + 2.0 * curves[2] * y;
+                let normal = DVec3::new(right, down, -1.0).normalize();
+                prop_assert!(element.normal.distance(normal) < 1e-9, "{i}: {} for {normal}", element.normal);
+                let is_inside = topology.neighbours(i).count() == 2 * topology.axes();
+                prop_assert_eq!(cloud.is_border(i), !is_inside);
+            }
+        }
+    }
 }

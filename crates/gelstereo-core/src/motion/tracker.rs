@@ -8,6 +8,7 @@ use super::loops::Loops;
 use super::travel::{Hold, MotionKind, Travel, TravelMeter};
 use crate::contact::RestSurface;
 use crate::force::MovedMarkers;
+use crate::lattice::Topology;
 use crate::math::{DVec3, Pose};
 use crate::params::{MotionParams, SlipParams};
 use crate::slip::{RigidMotion, Slip, SlipError, SlipStatus, SlipTracker, Stick};
@@ -89,10 +90,24 @@ impl MotionTracker {
         rest: &RestSurface,
         cols: usize,
     ) -> Result<Self, SlipError> {
+        let rows = rest.points_mm().len().checked_div(cols).unwrap_or(0);
+        Self::on(slip, params, rest, Topology::square(rows, cols))
+    }
+
+    /// As [`Self::new`], for a print of any topology.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn on(
+        slip: &SlipParams,
+        params: &MotionParams,
+        rest: &RestSurface,
+        topology: Topology,
+    ) -> Result<Self, SlipError> {
         params.validate().map_err(SlipError::Params)?;
-        let tracker = SlipTracker::new(slip, rest, cols)?;
+        let tracker = SlipTracker::on(slip, rest, topology)?;
         let (markers, up) = (tracker.markers(), rest.normal());
-        let cloud = Cloud::new(markers, cols, up);
+        let cloud = Cloud::new(topology, up);
         let keyframe = Keyframe {
             cloud: cloud.clone(),
             held: alloc::vec![false; markers],
@@ -106,7 +121,7 @@ impl MotionTracker {
             gate: slip.gate(1),
             slip: tracker,
             stick: Vec::with_capacity(markers),
-            pitch_mm: pitch_mm(rest.points_mm(), cols),
+            pitch_mm: pitch_mm(rest.points_mm(), topology.cols()),
             last: cloud.clone(),
             last_pose: AT_REST,
             since_keyframe: AT_REST,
