@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 
 import gelstereo as gs
+from gelstereo_bench.reports import forces
 from outside.judge_force import cases
 
 Array = npt.NDArray[np.float64]
@@ -165,6 +166,22 @@ def test_forces_of_gels_solved_by_finite_elements() -> None:
     assert np.sqrt(np.mean([case.shear_error**2 for case in found])) < 0.01
     # Three components: between half and one and a half times what is right.
     assert 1.5 < np.mean([case.squared for case in found]) < 4.5
+    # Two; 2.7 if pressures were uniform on their cells.
+    assert 0.9 < np.mean([case.tilt_squared for case in found]) < 2.0
+
+
+def test_torques_of_uneven_pressures_are_within_their_covariance(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Balls, plates and cylinders on a fine grid, with a fifth of the usual noise. The normalised squared error
+    of the torque along the gel would be 18 if pressures were uniform on their cells.
+    """
+    monkeypatch.setattr(forces, "_SIGMA_MM", forces._SIGMA_MM / 5)
+    squared = []
+    for contact in forces.contacts(18, 12):
+        gel = {"thickness_mm": contact.thickness_mm, "poisson_ratio": contact.poisson_ratio}
+        _, wrench = forces._sensed(contact, {"method": "ridge", "young_kpa": 100.0, **gel})
+        error = wrench.torque_nmm[:2] - contact.wrench[3:5]
+        squared.append(error @ np.linalg.solve(wrench.covariance[3:5, 3:5], error))
+    assert 0.5 < np.mean(squared) < 4.0
 
 
 @pytest.mark.parametrize(("radius_mm", "force_n"), [(3.0, 2.0), (6.0, 5.0), (10.0, 4.0)])

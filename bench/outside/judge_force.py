@@ -68,8 +68,16 @@ class Case:
     @property
     def squared(self) -> float:
         """Normalised squared error of the force: 3 in the mean if the covariance is right."""
-        error = (self.estimate - self.truth)[:3]
-        return float(error @ np.linalg.solve(self.covariance[:3, :3], error))
+        return self._squared(slice(3))
+
+    @property
+    def tilt_squared(self) -> float:
+        """The same of the torque along the gel: 2 in the mean."""
+        return self._squared(slice(3, 5))
+
+    def _squared(self, which: slice) -> float:
+        error = (self.estimate - self.truth)[which]
+        return float(error @ np.linalg.solve(self.covariance[which, which], error))
 
 
 def true_wrench(contact: Field, stage: int) -> Array:

@@ -133,6 +133,22 @@ impl Equations {
         }
     }
 
+    /// Derivatives of sums by the motion of one marker, from those by Kᵀ W u; `None` for a marker that is not
+    /// used.
+    pub fn by_motion<const N: usize>(
+        &mut self,
+        gel: Gel<'_>,
+        cells: &Cells,
+        place: (usize, usize),
+        covariance_mm2: &Symmetric<3>,
+        sums: &[Vec<f64>; N],
+    ) -> Option<[[f64; 3]; N]> {
+        let root = whitening(covariance_mm2)?;
+        fill(&mut self.rows, self.size, gel, cells, place);
+        let product = |row: &Vec<f64>, sum: &Vec<f64>| row.iter().zip(sum).map(|(a, b)| a * b).sum::<f64>();
+        Some(core::array::from_fn(|k| weighed(&root, [0, 1, 2].map(|i| product(&self.rows[i], &sums[k])))))
+    }
+
     /// Completes the lower triangle.
     pub fn mirror(&mut self) {
         for i in 0..self.size {

@@ -11,12 +11,14 @@ use super::gel_error::GelError;
 use super::grid::Grid;
 use super::moved::MovedMarkers;
 use super::resultant::{Place, Stiffness, spread};
+use super::strain::Strain;
+use super::uneven::UnevenCells;
 use super::wrench::Wrench;
 use crate::contact::RestSurface;
 use crate::lattice::Topology;
 use crate::layer::{FreeSides, Influence, Layer, N_PER_KPA_MM2};
+use crate::math::DVec3;
 use crate::math::linalg::Symmetric;
-use crate::math::{DVec3, sqrt};
 use crate::params::{ForceMethod, ForceParams, ParamsError};
 use crate::track::MarkerState;
 use alloc::vec::Vec;
@@ -28,20 +30,6 @@ const REACH: f64 = 1.0;
 /// Sides farther away are left out, since they move nothing: motion falls by half in a thickness. This bounds
 /// the table of influences.
 const MAX_RIM_PITCHES: f64 = 64.0;
-// The layer is no exact model of a gel. The shares below were chosen on the development half of the FEM
-// contacts of bench/outside (294 cases, neo-Hookean gels of finite width). With them, the mean normalised
-// squared error of the force is 2.0 to 2.9 of 3 for groups of contacts by strain. With 0.35, 0.2 and 0.01 it
-// is 0.8 to 1.1, with 0.25, 0.12 and 0.008 it is 1.5 to 2.0.
-
-/// Relative standard deviation of a load for each unit of strain, which is the deepest indentation over the
-/// thickness: gels stiffen with strain.
-const OF_STRAIN: f64 = 0.2;
-/// The rise of loads for each unit of strain with which the rms error of the pressing force is least on those
-/// gels, given their sides: 5.4 % with 0.26, 5.5 % with 0.2 and 0.3, and 7.2 % with 0. Without the sides, the
-/// layer is too stiff by about as much.
-const STIFFENING: f64 = 0.26;
-/// The same for a contact of a single marker, and less with more markers: cells show no smaller contact.
-const OF_CELLS: f64 = 0.1;
 /// Standard deviation of a shear force, over the pressing force: the layer's error turns that much of one
 /// into the other.
 const OF_PRESSING: f64 = 0.006;
@@ -97,6 +85,8 @@ pub struct ForceEstimator {
     unit: Vec<f64>,
     halves: [Vec<f64>; 6],
     gel_errors: Vec<GelError>,
+    /// With a layer.
+    uneven: Option<UnevenCells>,
 }
 
 impl ForceEstimator {
@@ -190,6 +180,7 @@ impl ForceEstimator {
             } else {
                 GelError::all(params, &layer, &grid, side)
             },
+            uneven: stiffness.is_none().then(|| UnevenCells::new(&layer, &grid)),
         };
         made.reserve();
         Ok(made)
@@ -215,7 +206,9 @@ impl ForceEstimator {
         let markers = self.equations.count as f64 / 3.0;
         let images = if self.sides.is_some() { 5 } else { 1 };
         let of_gel = if self.compliance.is_some() { 1 } else { images };
-        let assemblies = (of_gel + (of_gel + images) * self.gel_errors.len()) as f64;
+        // Uneven pressures take two assemblies of a layer without images.
+        let uneven = if self.cells.blocks == self.cells.cells.len() { 2 } else { 0 };
+        let assemblies = (uneven + of_gel + (of_gel + images) * self.gel_errors.len()) as f64;
         let assembly = markers * (assemblies * PER_CELL * cells + PER_PAIR * size * size);
         let rounds = self.posterior.rounds.min(USUAL_ROUNDS) as f64 * PER_TRIPLE * size * size * size;
         if self.variances.is_some() { (1e-3 * (BASE + assembly + rounds)) as u64 } else { 0 }
@@ -229,6 +222,8 @@ impl ForceEstimator {
         self.unit.reserve(size);
         self.halves.iter_mut().for_each(|half| half.reserve(size));
         self.gel_errors.iter_mut().for_each(|error| error.reserve(size));
+        let markers = self.markers();
+        self.uneven.iter_mut().for_each(|uneven| uneven.reserve(size, markers));
     }
 
     /// Tractions that the part exerts on the gel around each marker, in kilopascals along the sensor's axes,
@@ -279,9 +274,14 @@ impl ForceEstimator {
             return Ok(None);
         }
         self.differentiate(moved);
-        let (strain, share) = self.strain_and_share(moved);
+        let (rest, normal) = (&self.rest, self.axes[0]);
+        let strain = Strain::of(moved, rest, (normal, self.thickness_mm));
+        let (strain, share) = (strain.largest, strain.share(&self.params, self.sides.is_some()));
         let young_kpa = self.young_kpa * (1.0 + self.params.stiffening * strain);
-        let wrench = self.wrench(young_kpa, share);
+        let scale = young_kpa * N_PER_KPA_MM2 * self.grid.sides_mm[0] * self.grid.sides_mm[1];
+        (0..6).for_each(|k| self.load(k, scale));
+        let of_cells = self.of_uneven_cells(moved, scale);
+        let wrench = self.wrench(scale, share, &of_cells);
         if self.params.method == ForceMethod::Bounded {
             project(&mut self.posterior, self.params.friction);
         }
@@ -382,6 +382,30 @@ impl ForceEstimator {
         self.gel_errors = errors;
     }
 
+    /// Covariance of what the estimate misses of pressures that are not uniform on their cells.
+    fn of_uneven_cells(&mut self, moved: &MovedMarkers<'_>, scale: f64) -> Symmetric<6> {
+        // Larger blocks are so uneven that the misfit says it.
+        let is_merged = self.cells.blocks != self.cells.cells.len();
+        let Some(mut uneven) = self.uneven.take_if(|_| !is_merged) else { return Default::default() };
+        let noise = self.variances.map_or(1.0, |variances| variances.noise);
+        uneven.begin((&self.posterior.factor, &self.halves), &self.axes, (scale, self.cells.cells.len()));
+        for k in 0..self.cells.near.len() {
+            let n = self.cells.near[k];
+            if moved.state[n] != MarkerState::Seen {
+                continue;
+            }
+            let (covariance_mm2, place) = (self.motion(moved, n).1, self.grid.place(n));
+            let gel = Gel::new(&self.influence, self.sides.as_ref(), self.compliance.as_ref());
+            let (cells, solved) = (&self.cells, uneven.solved());
+            if let Some(by) = self.equations.by_motion(gel, cells, place, &covariance_mm2, solved) {
+                uneven.subtract(cells, place, &by.map(|by| by.map(|entry| entry / noise)));
+            }
+        }
+        let covariance = uneven.covariance(&self.cells.cells, |block| self.posterior.x[3 * block]);
+        self.uneven = Some(uneven);
+        covariance
+    }
+
     /// Returns whether the tractions are determined.
     fn solve(&mut self) -> bool {
         let mut variances = match self.variances {
@@ -406,25 +430,8 @@ impl ForceEstimator {
         self.axes[0] * x[0] + self.axes[1] * x[1] + self.axes[2] * x[2]
     }
 
-    /// Strain, and the relative standard deviation of the loads because the gel is no linear layer and cells
-    /// are not small.
-    fn strain_and_share(&self, moved: &MovedMarkers<'_>) -> (f64, f64) {
-        let heights =
-            moved.patch.iter().zip(moved.state).enumerate().filter_map(|(n, (&in_patch, &state))| {
-                let is_known = in_patch && state == MarkerState::Seen;
-                is_known.then(|| (moved.points_mm[n] - self.rest.points_mm()[n]).dot(self.axes[0]))
-            });
-        let (count, deepest_mm) =
-            heights.fold((0, 0.0_f64), |(count, deepest), height| (count + 1, deepest.max(height)));
-        let strain = deepest_mm / self.thickness_mm;
-        let missing = if self.sides.is_some() { STIFFENING - self.params.stiffening } else { 0.0 };
-        let (linear, few) = (OF_STRAIN * deepest_mm / self.thickness_mm, OF_CELLS / f64::from(count.max(1)));
-        (strain, sqrt(linear * linear + missing * missing * strain * strain + few * few))
-    }
-
     /// `model_share` is added to the uncertainty of pressures and, apart from these, of shears.
-    fn wrench(&mut self, young_kpa: f64, model_share: f64) -> Wrench {
-        let scale = young_kpa * N_PER_KPA_MM2 * self.grid.sides_mm[0] * self.grid.sides_mm[1];
+    fn wrench(&self, scale: f64, model_share: f64, of_cells: &Symmetric<6>) -> Wrench {
         // Wrenches of the pressures and of the shears.
         let mut parts = [[0.0; 6]; 2];
         let (mut pressing_n, mut moment_nmm) = (0.0, DVec3::ZERO);
@@ -440,7 +447,6 @@ impl ForceEstimator {
                 part.iter_mut().zip(loads).for_each(|(sum, load)| *sum += load);
             }
         }
-        (0..6).for_each(|k| self.load(k, scale));
         let loads: [f64; 6] = core::array::from_fn(|k| parts[0][k] + parts[1][k]);
         // All loads share the modulus.
         let modulus_share = self.params.young_sigma_kpa / self.young_kpa;
@@ -463,6 +469,7 @@ impl ForceEstimator {
                     + of_modulus
                     + crosstalk.iter().map(product).sum::<f64>()
                     + of_gel.iter().map(product).sum::<f64>()
+                    + of_cells[i][k]
             })
         });
         let [fx, fy, fz, tx, ty, tz] = loads;

@@ -27,6 +27,8 @@ mod gel_error;
 mod grid;
 mod moved;
 mod resultant;
+mod strain;
+mod uneven;
 mod wrench;
 
 pub use compliance::{Compliance, ComplianceError, ComplianceGel};

@@ -36,15 +36,42 @@ impl Influence {
     /// neighbouring offsets overlap by half.
     pub fn overlapping(layer: &Layer, step_mm: [f64; 2], steps: [usize; 2], side: usize) -> Self {
         let cell_mm = [0, 1].map(|axis| step_mm[axis] * steps[axis] as f64);
-        let mut influence = Self::of_half_space(layer, step_mm, steps, side);
+        Self::of_half_space(layer, step_mm, steps, side).with_rest(layer, step_mm, cell_mm, [0.0; 2])
+    }
+
+    /// As [`Self::new`], for cells of any sides, and offsets that are all shifted. Negative offsets do not
+    /// follow by symmetry.
+    pub(super) fn shifted(
+        layer: &Layer,
+        step_mm: [f64; 2],
+        cell_mm: [f64; 2],
+        shift_mm: [f64; 2],
+        side: usize,
+    ) -> Self {
+        let over_cell = |row: usize, col: usize| {
+            let at = |right: f64, down: f64| {
+                integrals(
+                    col as f64 * step_mm[0] + shift_mm[0] + right * cell_mm[0],
+                    row as f64 * step_mm[1] + shift_mm[1] + down * cell_mm[1],
+                )
+            };
+            [at(-0.5, -0.5), at(0.5, -0.5), at(-0.5, 0.5), at(0.5, 0.5)]
+        };
+        Self::of_corners(layer, side, over_cell).with_rest(layer, step_mm, cell_mm, shift_mm)
+    }
+
+    /// Adds the remainder.
+    fn with_rest(mut self, layer: &Layer, step_mm: [f64; 2], cell_mm: [f64; 2], shift_mm: [f64; 2]) -> Self {
+        let side = self.side;
         let rest = Radials::new(layer, cell_mm, side as f64 * step_mm[0].max(step_mm[1]));
         for (i, (row, col)) in (0..side).flat_map(|row| (0..side).map(move |col| (row, col))).enumerate() {
-            let (x, y) = (col as f64 * step_mm[0], row as f64 * step_mm[1]);
+            let x = col as f64 * step_mm[0] + shift_mm[0];
+            let y = row as f64 * step_mm[1] + shift_mm[1];
             for [aside, down] in squares(cell_mm) {
-                influence.add(i, (x + aside, y + down), &rest);
+                self.add(i, (x + aside, y + down), &rest);
             }
         }
-        influence
+        self
     }
 
     /// Adds the remainder of one of the squares of a cell.
@@ -62,7 +89,6 @@ impl Influence {
     }
 
     fn of_half_space(layer: &Layer, step_mm: [f64; 2], steps: [usize; 2], side: usize) -> Self {
-        let nu = layer.poisson_ratio;
         let [width, height] = steps.map(|steps| side + steps);
         let corners: Vec<[f64; 5]> = (0..width * height)
             .map(|i| {
@@ -73,7 +99,16 @@ impl Influence {
         let over_cell = |row: usize, col: usize| {
             let at = |row: usize, col: usize| corners[row * width + col];
             let (right, below) = (col + steps[0], row + steps[1]);
-            let [a, b, c, d] = [at(row, col), at(row, right), at(below, col), at(below, right)];
+            [at(row, col), at(row, right), at(below, col), at(below, right)]
+        };
+        Self::of_corners(layer, side, over_cell)
+    }
+
+    /// From the integrals at the corners of the cell that is in a row and column, row by row.
+    fn of_corners(layer: &Layer, side: usize, corners: impl Fn(usize, usize) -> [[f64; 5]; 4]) -> Self {
+        let nu = layer.poisson_ratio;
+        let over_cell = |row: usize, col: usize| {
+            let [a, b, c, d] = corners(row, col);
             // Rows and columns round alike.
             let along_x = [0, 1, 2, 3, 4].map(|n| (d[n] - b[n]) - (c[n] - a[n]));
             [along_x, [0, 1, 2, 3, 4].map(|n| (d[n] - c[n]) - (b[n] - a[n]))]

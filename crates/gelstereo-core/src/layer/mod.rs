@@ -6,10 +6,12 @@
 mod free_sides;
 mod influence;
 mod kernel;
+mod uneven;
 
 pub use free_sides::{FreeSides, Image};
 pub use influence::Influence;
 pub use kernel::{Compliance, Layer};
+pub use uneven::Uneven;
 
 /// Newtons of a kilopascal on a square millimetre.
 pub const N_PER_KPA_MM2: f64 = 1e-3;
