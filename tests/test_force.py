@@ -171,8 +171,8 @@ def test_forces_of_gels_solved_by_finite_elements() -> None:
 
 
 def test_torques_of_uneven_pressures_are_within_their_covariance(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Balls, plates and cylinders on a fine grid, with a fifth of the usual noise. The normalised squared error
-    of the torque along the gel would be 18 if pressures were uniform on their cells.
+    """Balls, plates and cylinders on a fine grid, with a fifth of the usual noise. The normalised squared
+    error of the torque along the gel would be 18 if pressures were uniform on their cells.
     """
     monkeypatch.setattr(forces, "_SIGMA_MM", forces._SIGMA_MM / 5)
     squared = []

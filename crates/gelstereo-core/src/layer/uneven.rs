@@ -18,8 +18,8 @@ pub struct Uneven {
 }
 
 impl Uneven {
-    /// For uniform pressures of one Young's modulus on cells of these sides, and offsets in these steps, of up
-    /// to `side` of them.
+    /// For uniform pressures of one Young's modulus on cells of these sides, and offsets in these steps, of
+    /// up to `side` of them.
     #[must_use]
     pub fn new(layer: &Layer, step_mm: [f64; 2], cell_mm: [f64; 2], side: usize) -> Self {
         let motion = [0, 1].map(|axis| {
