@@ -384,7 +384,7 @@ impl ForceEstimator {
 
     /// Covariance of what the estimate misses of pressures that are not uniform on their cells.
     fn of_uneven_cells(&mut self, moved: &MovedMarkers<'_>, scale: f64) -> Symmetric<6> {
-        // Larger blocks are so uneven that the misfit says it.
+        // With larger blocks the misfit shows it.
         let is_merged = self.cells.blocks != self.cells.cells.len();
         let Some(mut uneven) = self.uneven.take_if(|_| !is_merged) else { return Default::default() };
         let noise = self.variances.map_or(1.0, |variances| variances.noise);
