@@ -78,8 +78,9 @@ impl Cloud {
         (count > 0).then(|| used().map(|e| e.point_mm).sum::<DVec3>() / count as f64)
     }
 
-    /// Normal of the surface at a marker, from differences along its row and down, between nearest neighbours.
-    /// They are exact for quadratic surfaces. With the variance by noise and, if it is known, by what is not quadratic.
+    /// Normal of the surface at a marker, from differences along its row and down, between nearest
+    /// neighbours. They are exact for quadratic surfaces. With the variance by noise and, if it is known, by
+    /// what is not quadratic.
     fn normal(&self, i: usize) -> Option<(DVec3, f64, Option<f64>)> {
         let element = self.elements.get(i).filter(|e| e.is_used)?;
         let from = self.topology.row_and_col(i);
