@@ -14,19 +14,24 @@ use alloc::vec::Vec;
 /// kernel spans about three pitches. Sides of 13, 15 and 17 px find as many markers under drawn smears.
 const SQUARE: usize = 3;
 
-/// Rows of blocks around one, itself included.
-const AROUND: usize = 3;
+/// Rows of blocks that are closed at a time. Those beside them, and squares that reach out of them, are
+/// closed again: twice the image's area in all with 4, 5 times with 1, and 1.5 times with 8 and twice the
+/// memory.
+const STRIP: usize = 4;
+/// Rows of pixels of a strip.
+pub(super) const STRIP_PX: usize = STRIP * BLOCK_PX;
 
-/// Levels below which pixels beside a reflection belong to a marker, for a row of blocks at a time.
+/// Levels below which pixels beside a reflection belong to a marker, for a strip of rows of blocks at a time.
 #[derive(Clone, Debug)]
 pub(super) struct Reflections {
     side_px: usize,
-    /// Closing of the image in the rows of this row of blocks and of those beside it, from row `first` on.
+    /// Closing of the image in the rows of this strip and of the blocks beside it, from row `first` on.
     closed: Vec<u8>,
     first: usize,
-    /// Deepest contrast of these blocks, from row `first_block` of blocks on.
+    /// Deepest contrast of these blocks.
     depths: Vec<u8>,
-    first_block: usize,
+    /// Least differences in the blocks of the strip; `None` where no reflection is beside them.
+    limits: Vec<Option<u8>>,
     /// A row of pixels.
     row: Vec<u8>,
 }
@@ -35,25 +40,42 @@ impl Reflections {
     /// For a background's kernel of this side.
     pub const fn new(kernel_px: usize) -> Self {
         let side_px = (kernel_px / SQUARE) | 1;
-        Self { side_px, closed: Vec::new(), first: 0, depths: Vec::new(), first_block: 0, row: Vec::new() }
+        Self {
+            side_px,
+            closed: Vec::new(),
+            first: 0,
+            depths: Vec::new(),
+            limits: Vec::new(),
+            row: Vec::new(),
+        }
     }
 
     /// Reserves what an image of this width needs.
     pub fn start(&mut self, width: usize) {
         self.closed.clear();
-        self.closed.reserve((AROUND * BLOCK_PX + 2 * self.side_px) * width);
+        self.closed.reserve(((STRIP + 2) * BLOCK_PX + 2 * self.side_px) * width);
         self.depths.clear();
-        self.depths.reserve(AROUND * width.div_ceil(BLOCK_PX));
+        self.depths.reserve((STRIP + 2) * width.div_ceil(BLOCK_PX));
+        self.limits.clear();
+        self.limits.reserve(STRIP * width.div_ceil(BLOCK_PX));
         self.row.resize(width, 0);
     }
 
-    /// Whether a block of the row of blocks that begins at row `y` of pixels, or one beside it, is in a
-    /// reflection. Closes the image, which was smoothed to these levels, around that row if so.
-    pub fn close_around(&mut self, y: usize, smoothed: &[u8], width: usize, blocks: &Blocks) -> bool {
+    /// Whether a block of the strip that begins at row `y` of pixels, or one beside it, is in a reflection.
+    /// Closes the image, which was smoothed to these levels, around that strip if so. The least difference of
+    /// markers is `floor`, grey levels.
+    pub fn close_around(
+        &mut self,
+        y: usize,
+        smoothed: &[u8],
+        width: usize,
+        blocks: &Blocks,
+        floor: f64,
+    ) -> bool {
         let (block, height, cols) = (y / BLOCK_PX, smoothed.len() / width, blocks.cols());
-        self.first_block = block.saturating_sub(1);
-        let rows = self.first_block * BLOCK_PX..((block + 2) * BLOCK_PX).min(height);
-        let means = &blocks.means()[self.first_block * cols..rows.end.div_ceil(BLOCK_PX) * cols];
+        let first_block = block.saturating_sub(1);
+        let rows = first_block * BLOCK_PX..((block + STRIP + 1) * BLOCK_PX).min(height);
+        let means = &blocks.means()[first_block * cols..rows.end.div_ceil(BLOCK_PX) * cols];
         if !means.iter().any(is_bright) {
             return false;
         }
@@ -67,33 +89,35 @@ impl Reflections {
         self.depths.resize(rows.len().div_ceil(BLOCK_PX) * cols, 0);
         for y in rows {
             let closed = &self.closed[(y - self.first) * width..][..width];
-            let depths = &mut self.depths[(y / BLOCK_PX - self.first_block) * cols..][..cols];
+            let depths = &mut self.depths[(y / BLOCK_PX - first_block) * cols..][..cols];
             let blocks = closed.chunks(BLOCK_PX).zip(smoothed[y * width..][..width].chunks(BLOCK_PX));
             for (depth, (closed, levels)) in depths.iter_mut().zip(blocks) {
                 let pixels = closed.iter().zip(levels);
                 *depth = pixels.fold(*depth, |depth, (gel, level)| depth.max(gel.saturating_sub(*level)));
             }
         }
+        let strip = block * cols..blocks.means().len().min((block + STRIP) * cols);
+        self.limits.clear();
+        self.limits.extend(strip.map(|block| {
+            let around = || neighbours(block, cols, blocks.means().len());
+            let deepest = around().map(|block| self.depths[block - first_block * cols]).fold(0, u8::max);
+            let is_near = around().any(|block| is_bright(&blocks.means()[block]));
+            is_near.then(|| (SHARE * f64::from(deepest)).max(floor) as u8)
+        }));
         true
     }
 
     /// Replaces the limits of a row, around which the image was closed, where gel beside reflections is
-    /// brighter than its block's background. Pixels below them belong to markers. The least difference is
-    /// `floor`, grey levels.
-    pub fn limit(&self, y: usize, width: usize, blocks: &Blocks, floor: f64, below: &mut [u8]) {
-        let (means, cols) = (blocks.means(), blocks.cols());
-        let row = y / BLOCK_PX * cols;
-        for (column, &background) in blocks.background()[row..][..cols].iter().enumerate() {
-            let around = || neighbours(row + column, cols, means.len());
-            if !around().any(|block| is_bright(&means[block])) {
-                continue;
-            }
-            let depth = |block: usize| self.depths[block - self.first_block * cols];
-            let deepest = around().map(depth).fold(0, u8::max);
-            let min = (SHARE * f64::from(deepest)).max(floor) as u8;
+    /// brighter than its block's background. Pixels below them belong to markers.
+    pub fn limit(&self, y: usize, width: usize, blocks: &Blocks, below: &mut [u8]) {
+        let cols = blocks.cols();
+        let (row, in_strip) = (y / BLOCK_PX * cols, y % STRIP_PX / BLOCK_PX * cols);
+        let limits = self.limits[in_strip..][..cols].iter().zip(&blocks.background()[row..][..cols]);
+        for (column, (min, background)) in limits.enumerate() {
+            let Some(min) = *min else { continue };
             let pixels = column * BLOCK_PX..((column + 1) * BLOCK_PX).min(width);
             let gel = &self.closed[(y - self.first) * width..][pixels.clone()];
-            let is_brighter = |gel: u8| u16::from(gel) << FRACTION_BITS > background;
+            let is_brighter = |gel: u8| u16::from(gel) << FRACTION_BITS > *background;
             for (below, &gel) in below[pixels].iter_mut().zip(gel).filter(|&(_, &gel)| is_brighter(gel)) {
                 *below = gel.saturating_sub(min);
             }
@@ -208,9 +232,9 @@ mod tests {
         let mut reflections = Reflections::new(51);
         reflections.start(width);
         let mut marked = |y: usize| {
-            assert!(reflections.close_around(y, &levels, width, &blocks));
+            assert!(reflections.close_around(y / STRIP_PX * STRIP_PX, &levels, width, &blocks, 10.0));
             let mut below = alloc::vec![0_u8; width];
-            reflections.limit(y, width, &blocks, 10.0, &mut below);
+            reflections.limit(y, width, &blocks, &mut below);
             let row = levels[y * width..][..width].iter().zip(below);
             row.enumerate().filter(|(_, (level, below))| **level < *below).map(|(x, _)| x).collect::<Vec<_>>()
         };
