@@ -4,7 +4,7 @@
 use super::blocks::{BLOCK_PX, Blocks};
 use super::blur::{FRACTION_BITS, GaussianBlur};
 use super::noise_level::NoiseLevel;
-use super::reflections::{Reflections, STRIP_PX};
+use super::reflections::Reflections;
 use super::smooth::Smoother;
 use super::threshold::Thresholds;
 use crate::image::GrayView;
@@ -24,7 +24,7 @@ pub struct Difference {
     blocks: Blocks,
     thresholds: Thresholds,
     reflections: Reflections,
-    /// Whether a block of the current strip is in a reflection or beside one.
+    /// Whether the current row of blocks is in a reflection or beside one.
     is_beside_reflection: bool,
     /// Smoothed image in whole levels, dark markers on a bright gel.
     smoothed: Vec<u8>,
@@ -133,7 +133,7 @@ impl Difference {
         match &mut self.rung {
             Rung::Blocks => {
                 let limits = &self.block_limits[y / BLOCK_PX * levels.len()..][..levels.len()];
-                if y.is_multiple_of(STRIP_PX) {
+                if y.is_multiple_of(BLOCK_PX) {
                     let floor_levels = self.thresholds.floor_levels();
                     self.is_beside_reflection = sees_reflections
                         && self.reflections.close_around(

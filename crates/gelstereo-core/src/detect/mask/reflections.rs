@@ -14,23 +14,20 @@ use alloc::vec::Vec;
 /// kernel spans about three pitches. Sides of 13, 15 and 17 px find as many markers under drawn smears.
 const SQUARE: usize = 3;
 
-/// Rows of blocks that are closed at a time. Those beside them, and squares that reach out of them, are
-/// closed again: twice the image's area in all with 4, 5 times with 1, and 1.5 times with 8 and twice the
-/// memory.
-const STRIP: usize = 4;
-/// Rows of pixels of a strip.
-pub(super) const STRIP_PX: usize = STRIP * BLOCK_PX;
+/// Rows of blocks around one, itself included. Four at a time, with those beside them, would be closed in a
+/// tenth less time of a whole frame, but then `fast` with 5041 markers takes more than 16 MB.
+const AROUND: usize = 3;
 
-/// Levels below which pixels beside a reflection belong to a marker, for a strip of rows of blocks at a time.
+/// Levels below which pixels beside a reflection belong to a marker, for a row of blocks at a time.
 #[derive(Clone, Debug)]
 pub(super) struct Reflections {
     side_px: usize,
-    /// Closing of the image in the rows of this strip and of the blocks beside it, from row `first` on.
+    /// Closing of the image in the rows of this row of blocks and of those beside it, from row `first` on.
     closed: Vec<u8>,
     first: usize,
     /// Deepest contrast of these blocks.
     depths: Vec<u8>,
-    /// Least differences in the blocks of the strip; `None` where no reflection is beside them.
+    /// Least differences in this row of blocks; `None` where no reflection is beside them.
     limits: Vec<Option<u8>>,
     /// A row of pixels.
     row: Vec<u8>,
@@ -53,16 +50,16 @@ impl Reflections {
     /// Reserves what an image of this width needs.
     pub fn start(&mut self, width: usize) {
         self.closed.clear();
-        self.closed.reserve(((STRIP + 2) * BLOCK_PX + 2 * self.side_px) * width);
+        self.closed.reserve((AROUND * BLOCK_PX + 2 * self.side_px) * width);
         self.depths.clear();
-        self.depths.reserve((STRIP + 2) * width.div_ceil(BLOCK_PX));
+        self.depths.reserve(AROUND * width.div_ceil(BLOCK_PX));
         self.limits.clear();
-        self.limits.reserve(STRIP * width.div_ceil(BLOCK_PX));
+        self.limits.reserve(width.div_ceil(BLOCK_PX));
         self.row.resize(width, 0);
     }
 
-    /// Whether a block of the strip that begins at row `y` of pixels, or one beside it, is in a reflection.
-    /// Closes the image, which was smoothed to these levels, around that strip if so. The least difference of
+    /// Whether a block of the row of blocks that begins at row `y` of pixels, or one beside it, is in a
+    /// reflection. Closes the image, which was smoothed to these levels, around that row if so. The least difference of
     /// markers is `floor`, grey levels.
     pub fn close_around(
         &mut self,
@@ -74,7 +71,7 @@ impl Reflections {
     ) -> bool {
         let (block, height, cols) = (y / BLOCK_PX, smoothed.len() / width, blocks.cols());
         let first_block = block.saturating_sub(1);
-        let rows = first_block * BLOCK_PX..((block + STRIP + 1) * BLOCK_PX).min(height);
+        let rows = first_block * BLOCK_PX..((block + 2) * BLOCK_PX).min(height);
         let means = &blocks.means()[first_block * cols..rows.end.div_ceil(BLOCK_PX) * cols];
         if !means.iter().any(is_bright) {
             return false;
@@ -96,9 +93,8 @@ impl Reflections {
                 *depth = pixels.fold(*depth, |depth, (gel, level)| depth.max(gel.saturating_sub(*level)));
             }
         }
-        let strip = block * cols..blocks.means().len().min((block + STRIP) * cols);
         self.limits.clear();
-        self.limits.extend(strip.map(|block| {
+        self.limits.extend((block * cols..(block + 1) * cols).map(|block| {
             let around = || neighbours(block, cols, blocks.means().len());
             let deepest = around().map(|block| self.depths[block - first_block * cols]).fold(0, u8::max);
             let is_near = around().any(|block| is_bright(&blocks.means()[block]));
@@ -111,8 +107,8 @@ impl Reflections {
     /// brighter than its block's background. Pixels below them belong to markers.
     pub fn limit(&self, y: usize, width: usize, blocks: &Blocks, below: &mut [u8]) {
         let cols = blocks.cols();
-        let (row, in_strip) = (y / BLOCK_PX * cols, y % STRIP_PX / BLOCK_PX * cols);
-        let limits = self.limits[in_strip..][..cols].iter().zip(&blocks.background()[row..][..cols]);
+        let backgrounds = &blocks.background()[y / BLOCK_PX * cols..][..cols];
+        let limits = self.limits.iter().zip(backgrounds);
         for (column, (min, background)) in limits.enumerate() {
             let Some(min) = *min else { continue };
             let pixels = column * BLOCK_PX..((column + 1) * BLOCK_PX).min(width);
@@ -232,7 +228,7 @@ mod tests {
         let mut reflections = Reflections::new(51);
         reflections.start(width);
         let mut marked = |y: usize| {
-            assert!(reflections.close_around(y / STRIP_PX * STRIP_PX, &levels, width, &blocks, 10.0));
+            assert!(reflections.close_around(y / BLOCK_PX * BLOCK_PX, &levels, width, &blocks, 10.0));
             let mut below = alloc::vec![0_u8; width];
             reflections.limit(y, width, &blocks, &mut below);
             let row = levels[y * width..][..width].iter().zip(below);
