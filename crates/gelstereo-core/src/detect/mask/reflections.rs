@@ -59,8 +59,8 @@ impl Reflections {
     }
 
     /// Whether a block of the row of blocks that begins at row `y` of pixels, or one beside it, is in a
-    /// reflection. Closes the image, which was smoothed to these levels, around that row if so. The least difference of
-    /// markers is `floor`, grey levels.
+    /// reflection. Closes the image, which was smoothed to these levels, around that row if so. The least
+    /// difference of markers is `floor`, grey levels.
     pub fn close_around(
         &mut self,
         y: usize,
