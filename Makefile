@@ -67,10 +67,10 @@ test-long: prerequisites $(BIN)/python lint
 	$(BIN)/pip install --quiet '.[test,long]' './bench[batch,physics]'
 	cargo build --release --quiet -p gelstereo-host --bins --example world_server
 	GELSTEREO_KILLS=25 cargo test --quiet --workspace --test all -- faults::
-	GELSTEREO_LONG_FRAMES=6000 cargo test --quiet --workspace --test long_run
+	GELSTEREO_LONG_FRAMES=4000 cargo test --quiet --workspace --test long_run
 	GELSTEREO_SOAK_FRAMES=2000 cargo test --quiet --workspace --test all -- row_35_a_localizer
 	@# Many seeds and many configurations: worth a build of the host with optimisation.
-	GELSTEREO_SEEDS=6 cargo test --quiet --config 'profile.dev.package.gelstereo-host.opt-level=2' --workspace --test all -- --ignored --skip faults::
+	GELSTEREO_SEEDS=4 cargo test --quiet --config 'profile.dev.package.gelstereo-host.opt-level=2' --workspace --test all -- --ignored --skip faults::
 	$(MAKE) long-builds
 	GELSTEREO_RUNS=4 $(BIN)/pytest -m "long and realtime"
 	$(BIN)/pytest -n auto -m "long and not realtime"
@@ -81,11 +81,11 @@ test-long: prerequisites $(BIN)/python lint
 # Not beside tests that keep a camera's pace: on two cores the builds made their watchdogs act.
 long-builds:
 	cargo build --quiet --workspace --bin gelstereo-host --features $(LIVE_FEATURES)
-	cargo build --quiet --manifest-path tests/ros_peer/Cargo.toml --target-dir $(ROS_PEER)
+	CARGO_PROFILE_DEV_DEBUG=0 cargo build --quiet --manifest-path tests/ros_peer/Cargo.toml --target-dir $(ROS_PEER)
 
-# Digests of results on other processors and builds.
+# Digests of results on other processors and builds. Beside another target, cargo must not look for make's own jobs.
 same-bits: prerequisites
-	tests/same_bits/run.sh
+	env -u MAKEFLAGS tests/same_bits/run.sh
 
 # Cases that no run has tried yet, of every property test in Rust.
 explore: prerequisites
@@ -95,7 +95,7 @@ explore: prerequisites
 FUZZ_SECONDS ?= 4
 fuzz: prerequisites
 	cargo fmt --manifest-path fuzz/Cargo.toml --check
-	fuzz/run.sh $(FUZZ_SECONDS)
+	env -u MAKEFLAGS fuzz/run.sh $(FUZZ_SECONDS)
 
 # `make experiment WORDS="boards --output out/boards"`; without words it lists them.
 WORDS ?= --help
