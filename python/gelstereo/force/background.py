@@ -49,9 +49,9 @@ def in_background(work: Callable[[Progress], T], progress: Progress | None = Non
         with child.stdin, child.stdout:
             pickle.dump(work, child.stdin)
             child.stdin.flush()
-            while (told := pickle.load(child.stdout))[0] == "step":
+            while (answer := pickle.load(child.stdout))[0] == "step":
                 if progress is not None:
-                    progress(*told[1])
+                    progress(*answer[1])
     except (EOFError, BrokenPipeError) as error:
         raise ChildProcessError(
             f"the process of the computation ended with code {child.wait()}; was there enough memory?"
@@ -59,9 +59,9 @@ def in_background(work: Callable[[Progress], T], progress: Progress | None = Non
     finally:
         child.kill()
         child.wait()
-    if told[0] == "error":
-        raise told[1]
-    result: T = told[1]
+    if answer[0] == "error":
+        raise answer[1]
+    result: T = answer[1]
     return result
 
 
@@ -69,15 +69,15 @@ def serve() -> None:
     """The other process: what to do comes from standard input, and the answers go to standard output."""
     output = sys.stdout.buffer
 
-    def tell(kind: str, value: Any) -> None:
+    def send(kind: str, value: Any) -> None:
         pickle.dump((kind, value), output)
         output.flush()
 
     try:
         work = pickle.load(sys.stdin.buffer)
-        tell("result", work(lambda done, total: tell("step", (done, total))))
+        send("result", work(lambda done, total: send("step", (done, total))))
     except BrokenPipeError:
         # Nobody waits any more; without this, Python would report it again at exit.
         os._exit(1)
     except Exception as error:
-        tell("error", error)
+        send("error", error)

@@ -45,6 +45,11 @@ impl Cells {
         self.block_of.reserve(markers);
     }
 
+    /// Whether there are more cells than blocks.
+    pub const fn are_merged(&self) -> bool {
+        self.blocks != self.cells.len()
+    }
+
     /// Selects the cells of a patch. Returns whether there are any.
     pub fn choose(&mut self, patch: &[bool], grid: &Grid) -> bool {
         let (rows, cols) = (grid.topology.rows(), grid.topology.cols());
@@ -54,16 +59,8 @@ impl Cells {
         for (n, _) in patch.iter().enumerate().filter(|&(_, &in_patch)| in_patch) {
             let (row, col) = (n / cols, n % cols);
             self.is_cut |= row == 0 || col == 0 || row + 1 == rows || col + 1 == cols;
-            if grid.topology.is_hexagonal() {
-                self.is_loaded[n] = true;
-                grid.topology.neighbours(n).for_each(|beside| self.is_loaded[beside] = true);
-                continue;
-            }
-            for row in row.saturating_sub(1)..(row + 2).min(rows) {
-                for col in col.saturating_sub(1)..(col + 2).min(cols) {
-                    self.is_loaded[row * cols + col] = true;
-                }
-            }
+            self.is_loaded[n] = true;
+            grid.topology.around(n).for_each(|beside| self.is_loaded[beside] = true);
         }
         let mut side = 1;
         while self.divide(grid, side) > MAX_BLOCKS {

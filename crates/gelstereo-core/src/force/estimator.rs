@@ -207,7 +207,7 @@ impl ForceEstimator {
         let images = if self.sides.is_some() { 5 } else { 1 };
         let of_gel = if self.compliance.is_some() { 1 } else { images };
         // Uneven pressures take two assemblies of a layer without images.
-        let uneven = if self.cells.blocks == self.cells.cells.len() { 2 } else { 0 };
+        let uneven = if self.cells.are_merged() { 0 } else { 2 };
         let assemblies = (uneven + of_gel + (of_gel + images) * self.gel_errors.len()) as f64;
         let assembly = markers * (assemblies * PER_CELL * cells + PER_PAIR * size * size);
         let rounds = self.posterior.rounds.min(USUAL_ROUNDS) as f64 * PER_TRIPLE * size * size * size;
@@ -274,10 +274,9 @@ impl ForceEstimator {
             return Ok(None);
         }
         self.differentiate(moved);
-        let (rest, normal) = (&self.rest, self.axes[0]);
-        let strain = Strain::of(moved, rest, (normal, self.thickness_mm));
-        let (strain, share) = (strain.largest, strain.share(&self.params, self.sides.is_some()));
-        let young_kpa = self.young_kpa * (1.0 + self.params.stiffening * strain);
+        let strain = Strain::of(moved, &self.rest, (self.axes[0], self.thickness_mm));
+        let share = strain.share(&self.params, self.sides.is_some());
+        let young_kpa = self.young_kpa * (1.0 + self.params.stiffening * strain.largest);
         let scale = young_kpa * N_PER_KPA_MM2 * self.grid.sides_mm[0] * self.grid.sides_mm[1];
         (0..6).for_each(|k| self.load(k, scale));
         let of_cells = self.of_uneven_cells(moved, scale);
@@ -384,20 +383,19 @@ impl ForceEstimator {
 
     /// Covariance of what the estimate misses of pressures that are not uniform on their cells.
     fn of_uneven_cells(&mut self, moved: &MovedMarkers<'_>, scale: f64) -> Symmetric<6> {
-        // With larger blocks the misfit shows it.
-        let is_merged = self.cells.blocks != self.cells.cells.len();
+        // Merged cells have larger errors of another kind.
+        let is_merged = self.cells.are_merged();
         let Some(mut uneven) = self.uneven.take_if(|_| !is_merged) else { return Default::default() };
         let noise = self.variances.map_or(1.0, |variances| variances.noise);
         uneven.begin((&self.posterior.factor, &self.halves), &self.axes, (scale, self.cells.cells.len()));
         for k in 0..self.cells.near.len() {
             let n = self.cells.near[k];
-            if moved.state[n] != MarkerState::Seen {
-                continue;
-            }
             let (covariance_mm2, place) = (self.motion(moved, n).1, self.grid.place(n));
             let gel = Gel::new(&self.influence, self.sides.as_ref(), self.compliance.as_ref());
-            let (cells, solved) = (&self.cells, uneven.solved());
-            if let Some(by) = self.equations.by_motion(gel, cells, place, &covariance_mm2, solved) {
+            let (cells, solved, is_seen) =
+                (&self.cells, uneven.solved(), moved.state[n] == MarkerState::Seen);
+            let by = is_seen.then(|| self.equations.by_motion(gel, cells, place, &covariance_mm2, solved));
+            if let Some(by) = by.flatten() {
                 uneven.subtract(cells, place, &by.map(|by| by.map(|entry| entry / noise)));
             }
         }

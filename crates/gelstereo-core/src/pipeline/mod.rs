@@ -125,11 +125,11 @@ impl Pipeline {
         })
     }
 
-    /// With the gel's compliance matrix, in place of the elastic layer of `force`; from the next rest frame
-    /// on. That frame fails with [`PipelineError::Force`] if the matrix is of another lattice.
+    /// With the gel's compliance matrix in place of the layer of `force`, from the next rest frame on.
     ///
     /// # Errors
-    /// [`PipelineError::Force`] if the settings alone show that it is of another lattice or gel.
+    /// [`PipelineError::Force`] if it is of another lattice or gel; what the settings do not show, the rest
+    /// frame does.
     pub fn with_compliance(self, compliance: Option<Compliance>) -> Result<Self, PipelineError> {
         let checked = compliance.as_ref().map(|compliance| compliance.check_settings(&self.params));
         checked.transpose().map_err(PipelineError::Force)?;
