@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 from pathlib import Path
+
+# Tests run on all processors already: threads of linear algebra that wait for each other doubled the time. It
+# is read when NumPy is loaded, also by the processes that tests start.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import hypothesis
 import pytest

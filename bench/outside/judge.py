@@ -16,6 +16,7 @@ import argparse
 import sys
 from dataclasses import dataclass, field
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -99,15 +100,14 @@ def under_glints(sequence: Sequence, index: int) -> Flags:
     """Mask of markers covered or touched by a reflection in either view."""
     covered = np.zeros(sequence.truth["left_px"].shape[1], dtype=bool)
     for view in ("left", "right"):
-        image = sequence.clean(index, view)
-        y, x = np.nonzero(image >= GLINT_LEVEL)
-        places = np.stack((x, y), axis=1).astype(float)
-        for k, centre in enumerate(sequence.truth[f"{view}_px"][index]):
-            covered[k] |= (
-                bool((np.abs(places - centre).max(axis=1, initial=0) < GLINT_REACH_PX).any())
-                if len(x)
-                else False
-            )
+        glints = sequence.clean(index, view) >= GLINT_LEVEL
+        summed = cv2.integral(glints.astype(np.uint8))
+        # Pixels nearer than the reach along both axes.
+        centres, size = sequence.truth[f"{view}_px"][index], np.array(glints.shape[::-1])
+        (left, top) = np.clip(np.floor(centres - GLINT_REACH_PX).astype(int) + 1, 0, size).T
+        (right, bottom) = np.clip(np.ceil(centres + GLINT_REACH_PX).astype(int), 0, size).T
+        number = summed[bottom, right] - summed[top, right] - summed[bottom, left] + summed[top, left]
+        covered |= number > 0
     return covered
 
 

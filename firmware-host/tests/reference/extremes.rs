@@ -39,7 +39,7 @@ fn run_with_any_valid_extreme_stops_and_writes_no_more_than_its_frames() {
                 let stop = &stop;
                 move || {
                     // In the course of a run, most of which take some seconds.
-                    let _ = ended.recv_timeout(Duration::from_millis(700));
+                    let _ = ended.recv_timeout(Duration::from_millis(300));
                     stop.store(true, Ordering::Relaxed);
                 }
             });
