@@ -149,10 +149,10 @@ impl Localization {
 
     /// Whether the pose explains the contact.
     ///
-    /// ``"fits"``: ``log_odds`` is above 0, the distances of the markers in contact from the part are
-    /// within their noise (chi-squared test at 1 %), and the method converged. ``"unsure"``: the odds are
-    /// above 0, but one of the other two conditions fails; always the result of methods on samples.
-    /// ``"does_not_fit"``: the part is elsewhere, or it is another part.
+    /// ``"fits"``: the odds are above 100 to 1 (``log_odds`` 4.6), the distances of the markers in contact
+    /// from the part are within their noise (chi-squared test at 1 %), and the method converged.
+    /// ``"does_not_fit"``: the odds are at most 1 to 100 (-4.6); the part is elsewhere, or it is another
+    /// part. ``"unsure"``: neither; always the result of methods on samples.
     #[getter]
     const fn verdict(&self) -> &'static str {
         self.found.verdict.name()

@@ -24,7 +24,7 @@ code is 1 where the part does not explain the contact.
 """
 
 DOES_NOT_FIT = (
-    "the part does not explain the contact (log_odds {odds:.1f}, a part that does has more than 0): it is "
+    "the part does not explain the contact (log_odds {odds:.1f}, a part that does has more than 4.6): it is "
     "another part, another face of it, or farther from the guess than register.start_sigma_deg and "
     "register.start_sigma_mm say"
 )

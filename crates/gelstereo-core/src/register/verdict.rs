@@ -2,6 +2,8 @@
 
 use crate::math::sqrt;
 
+/// Log odds of 100 to 1, which either verdict needs: a claim that the part is elsewhere is one as well.
+const SURE_LOG: f64 = 4.605;
 /// Normal deviate of 1 %: noise alone makes a correct pose unsure once in a hundred times.
 const ONE_IN_A_HUNDRED: f64 = 2.326;
 
@@ -9,13 +11,14 @@ const ONE_IN_A_HUNDRED: f64 = 2.326;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum Verdict {
-    /// The part is here: the odds are above even, the residuals of markers in contact are explained by
+    /// The part is here: the odds are above 100 to 1, the residuals of markers in contact are explained by
     /// noise, and the steps converged.
     Fits,
-    /// The part may be here. The odds are above even, but residuals of markers in contact exceed the
-    /// noise, or the budget ran out. Also if the method gives no verdict, as all methods on samples.
+    /// The part may be here. The odds are between 1 to 100 and 100 to 1, residuals of markers in contact
+    /// exceed the noise, or the budget ran out. Also if the method gives no verdict, as all methods on
+    /// samples.
     Unsure,
-    /// The part is elsewhere, or another: the odds are at most even.
+    /// The part is elsewhere, or another: the odds are at most 1 to 100.
     DoesNotFit,
 }
 
@@ -29,11 +32,11 @@ pub(super) struct MeanSquare {
 impl Verdict {
     /// From the log odds, the residuals of the markers in contact, and whether the steps converged.
     pub(super) fn new(log_odds: f64, touching: Option<MeanSquare>, converged: bool) -> Self {
-        if log_odds <= 0.0 {
+        if log_odds <= -SURE_LOG {
             return Self::DoesNotFit;
         }
         let is_noise = touching.is_none_or(|it| it.mean <= usual_mean_square(it.count));
-        if is_noise && converged { Self::Fits } else { Self::Unsure }
+        if log_odds > SURE_LOG && is_noise && converged { Self::Fits } else { Self::Unsure }
     }
 
     /// Identifier: `fits`, `unsure` or `does_not_fit`.
@@ -71,10 +74,14 @@ mod tests {
     #[test]
     fn a_pose_fits_only_if_odds_misfit_and_end_agree() {
         let of = |mean| Some(MeanSquare { mean, count: 30.0 });
-        assert_eq!(Verdict::new(3.0, of(1.0), true), Verdict::Fits);
-        assert_eq!(Verdict::new(3.0, None, true), Verdict::Fits);
-        assert_eq!(Verdict::new(3.0, of(1.8), true), Verdict::Unsure);
-        assert_eq!(Verdict::new(3.0, of(1.0), false), Verdict::Unsure);
-        assert_eq!(Verdict::new(0.0, of(1.0), true), Verdict::DoesNotFit);
+        assert_eq!(Verdict::new(5.0, of(1.0), true), Verdict::Fits);
+        assert_eq!(Verdict::new(5.0, None, true), Verdict::Fits);
+        assert_eq!(Verdict::new(5.0, of(1.8), true), Verdict::Unsure);
+        assert_eq!(Verdict::new(5.0, of(1.0), false), Verdict::Unsure);
+        assert_eq!(Verdict::new(-5.0, of(1.0), true), Verdict::DoesNotFit);
+        for odds in [-99.0_f64, -2.0, 1.0, 2.0, 99.0] {
+            let log = odds.signum() * crate::math::ln(odds.abs());
+            assert_eq!(Verdict::new(log, of(1.0), true), Verdict::Unsure, "{odds}");
+        }
     }
 }
