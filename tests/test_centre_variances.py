@@ -131,8 +131,9 @@ def test_row_43_a_sharp_lens_is_part_of_the_variance(preset: str, blur_px: float
         errors, covariances, whose = matched(found, print_.centres_px())
         assert len(whose) == SIDE * SIDE
         squared.append(squared_errors(errors, covariances).mean())
-    # Errors by the grid are known to half of their variance.
-    assert 0.6 < np.mean(squared) < 1.6, squared
+    # Errors by the grid are known to half of their variance. Dots off their places by 2 % of the pitch, twice
+    # the error of a stencil, may be folds: that takes up to 0.15.
+    assert 0.55 < np.mean(squared) < 1.6, squared
 
 
 @pytest.mark.parametrize("preset", PRESETS)
@@ -171,7 +172,8 @@ def test_a_region_of_interest_is_searched_alone() -> None:
     crop = np.ascontiguousarray(image[y : y + height, x : x + width])
     expected = gelstereo.Detector(gelstereo.Params.preset("balanced")).detect(crop)
     assert np.array_equal(found.centres_px, expected.centres_px + [x, y])
-    assert np.array_equal(found.covariance_px2, expected.covariance_px2)
+    # Second differences of positions that are shifted differ by round-off.
+    assert np.allclose(found.covariance_px2, expected.covariance_px2, rtol=1e-9, atol=0.0)
     assert np.array_equal(found.cut_centres_px, expected.cut_centres_px + [x, y])
     mask = gelstereo.Detector(params, view="left").mask(image)
     assert mask.shape == image.shape and mask[:y].sum() == 0 and mask[:, x + width :].sum() == 0

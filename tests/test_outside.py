@@ -241,10 +241,14 @@ def test_row_41_a_tray_in_view_changes_no_variance_of_a_point(preset: str, least
 
 
 def test_frames_state_what_folds_do_to_the_centres() -> None:
-    """A twisted board folds the gel between markers. One image cannot show it; the frame has the points."""
+    """A twisted board folds the gel between markers. Most of it shows in one image, too: without
+    `detect/folds.rs` its normalised squared error is 17, and 1.1 on gel at rest.
+    """
     figures = judged("balanced", [Sequence.load("w5_twist")], Condition(), {})
     assert 0.8 <= np.concatenate(figures.centre_squared).mean() <= 1.25
-    assert np.concatenate(figures.alone_squared).mean() > 5.0
+    at_rest = np.concatenate(figures.alone_squared[:2])
+    assert 0.8 <= at_rest.mean() <= 1.25
+    assert np.concatenate(figures.alone_squared).mean() < 4.0
 
 
 @pytest.mark.long

@@ -6,7 +6,7 @@ use crate::support;
 use counting::ALLOCATIONS;
 use gelstereo_core::camera::{Camera, Layer, Layers};
 use gelstereo_core::detect::Found;
-use gelstereo_core::detect::{Detector, Markers};
+use gelstereo_core::detect::{Detector, Folds, Markers};
 use gelstereo_core::lattice::{FoundLattice, LatticeFinder, anchor, foresight_sort, rest_lattice};
 use gelstereo_core::math::random::Stream;
 use gelstereo_core::math::{DVec2, DVec3};
@@ -56,6 +56,19 @@ fn detection_allocates_for_the_first_image_only() {
             assert_eq!(later, 0, "{background:?} {threshold:?} {centre:?} {kernel_px}");
         }
     }
+}
+
+#[test]
+fn folds_in_single_images_allocate_nothing_once_there_is_room() {
+    let mut stream = Stream::new(1, "folds");
+    let mut scattered = |across: f64| {
+        let mut at = || DVec2::new(640.0 * stream.uniform(), across * stream.uniform());
+        Markers::at((0..625).map(|_| at()).collect(), 0.02)
+    };
+    let mut markers = [Markers::at(paper_lattice(), 0.02), scattered(480.0), scattered(1.0), scattered(0.0)];
+    let mut folds = Folds::default();
+    assert!(allocations(|| folds.reserve(625)) > 0);
+    assert_eq!(allocations(|| markers.iter_mut().for_each(|markers| folds.widen(markers))), 0);
 }
 
 /// Also when only the first image shows all of its markers at half its size.

@@ -98,7 +98,7 @@ impl Markers {
 #[pyclass(frozen, module = "gelstereo")]
 pub struct Detector {
     /// Boxed because its SIMD columns are aligned to 32 bytes, and Python aligns its objects to 16.
-    stage: Box<Mutex<core::Detector>>,
+    stage: Box<Mutex<(core::Detector, core::Folds)>>,
     params: DetectParams,
 }
 
@@ -136,7 +136,7 @@ impl Detector {
     fn new(params: Option<&Bound<'_, Params>>, view: Option<&str>) -> PyResult<Self> {
         let params = Params::or_default(params).detect;
         let stage = core::Detector::new(&params).within(region(&params, view)?);
-        Ok(Self { stage: Box::new(Mutex::new(stage)), params })
+        Ok(Self { stage: Box::new(Mutex::new((stage, core::Folds::default()))), params })
     }
 
     fn __repr__(&self) -> String {
@@ -149,6 +149,9 @@ impl Detector {
     }
 
     /// Detect the markers of an image.
+    ///
+    /// The covariances include the effect of gel that folds within the dots, as far as the markers' positions
+    /// in this image show it.
     ///
     /// Parameters
     /// ----------
@@ -174,7 +177,11 @@ impl Detector {
         let view = image.view(channel, &mut levels)?;
         let found = py.detach(|| {
             let mut out = core::Markers::default();
-            self.stage.lock().unwrap_or_else(PoisonError::into_inner).run(view, &mut out).map(|()| out)
+            let mut stage = self.stage.lock().unwrap_or_else(PoisonError::into_inner);
+            let (detector, folds) = &mut *stage;
+            detector.run(view, &mut out)?;
+            folds.widen(&mut out);
+            Ok::<_, core::DetectError>(out)
         });
         Markers::new(py, found.map_err(raise)?, channel)
     }
@@ -201,6 +208,7 @@ impl Detector {
         let view = image.view(channel, &mut levels)?;
         let mask = py.detach(|| {
             let mut stage = self.stage.lock().unwrap_or_else(PoisonError::into_inner);
+            let stage = &mut stage.0;
             stage.run(view, &mut core::Markers::default())?;
             let mut mask = Vec::new();
             stage.mask(&mut mask);

@@ -77,9 +77,10 @@ impl Detector {
 
     /// Finds the markers; `out` is cleared first. Does not allocate after the first image of a size.
     ///
-    /// Components that reach the outermost pixels of the image are listed in [`Markers::cut`], since the
-    /// centre of the visible part is not the marker's. An image with contrast but without markers gives
-    /// an empty list.
+    /// The covariances are those of gel that does not fold within the dots; [`Folds`](super::Folds) adds what
+    /// folds do. Components that reach the outermost pixels of the image are listed in [`Markers::cut`],
+    /// since the centre of the visible part is not the marker's. An image with contrast but without markers
+    /// gives an empty list.
     ///
     /// # Errors
     /// [`DetectError`]; `out` is then empty.

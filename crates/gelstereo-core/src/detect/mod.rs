@@ -6,6 +6,8 @@
 pub mod centre;
 mod detector;
 mod error;
+pub(crate) mod fold_law;
+mod folds;
 mod found;
 mod markers;
 #[doc(hidden)]
@@ -16,6 +18,7 @@ mod window;
 
 pub use detector::Detector;
 pub use error::DetectError;
+pub use folds::Folds;
 pub use found::{Found, WindowObservation};
 pub use markers::{CutMarker, MAX_MARKERS, Markers, PIXELS_PER_MARKER, max_markers};
 pub use window::size::MarkerSize;

@@ -1,22 +1,12 @@
 //! Covariance of the points due to bending of the gel within a dot.
 
+use crate::detect::fold_law::{add_moved, add_weighed};
 use crate::lattice::Topology;
 use crate::math::DVec3;
-use crate::math::linalg::{Symmetric, add_outer};
+use crate::math::linalg::Symmetric;
 
 /// Radius of a dot in pitches where it is unknown: 0.2 to 0.3 are usual.
 const USUAL_RADIUS_PITCHES: f64 = 0.25;
-/// Mean square of `fold` over all positions of a fold by 1, times the pitch: the integral of
-/// (h(t) - h(t - 1)/2 - h(t + 1)/2)² over t, where h(t) = max(0, 1 - |t|) is the second difference.
-const MEAN_SQUARE: f64 = 2.0 / 3.0;
-/// Square of a dot's mean position off its centre, integrated over all positions of a fold by 1, over the
-/// cube of the radius in pitches: the integral of (E max(x - t, 0) - max(-t, 0))² over t, for x across a disc
-/// of radius 1. Over `MEAN_SQUARE`.
-const MOVED: f64 = 0.015_6 / MEAN_SQUARE;
-/// The same for the offset along the surface when a fold by s changes the weight of the dot's far side in the
-/// image by the factor 1 + s: the integral over t of g², where g(t) = 2 (1 - t²)^(3/2) / 3π is the integral
-/// of x over the far side, x > t.
-const WEIGHED: f64 = 0.041_2 / MEAN_SQUARE;
 /// Square of a fold that noise explains, over the variance of a point: twice the mean, which is the sum of
 /// the squared coefficients in `fold` for both frames. Once to three times: mean point NSE 1.04 to 1.12 of
 /// `balanced` (path-traced, development half). With once, noise alone widens covariances by a tenth.
@@ -24,11 +14,7 @@ const MAX_FOLD_NOISE: f64 = 2.0 * 2.0 * 17.5;
 
 /// Adds the effect of bending within the dots to the points' covariances.
 ///
-/// At the rim of a contact the gel folds. A fold within a dot shifts the dot's mean position from its centre
-/// in two ways: the far side moves, and its weight in the image changes with its projected area and its
-/// brightness. The weight changes by about as much as the slope or the stretch, so a fold by s is taken to
-/// change it by the factor 1 + s.
-///
+/// At the rim of a contact the gel folds; [`fold_law`](crate::detect::fold_law) has what that does to a dot.
 /// Where a fold lies between the markers is unknown. Its square is therefore the mean over the marker (half)
 /// and its neighbours on both sides (a quarter each). What noise alone makes of it changes no weight. The sum
 /// over the three axes of a hexagonal print counts every bend one and a half times.
@@ -53,12 +39,12 @@ pub(super) fn add(
                 if let [Some(a), Some(b), Some(c), Some(d), Some(e)] = line[k - 2..=k + 2] {
                     let fold = fold([a, b, c, d, e].map(|i| points_mm[i] - rest_mm[i]));
                     let share = share * share_of_axis;
-                    add_outer(covariance, cube * MOVED * share, fold.to_array());
+                    add_moved(covariance, cube, share, fold.to_array());
                     square += share * fold.length_squared();
                 }
             }
             let along = (points_mm[after] - points_mm[before]).normalize_or_zero();
-            add_outer(covariance, cube * WEIGHED * (square - noise).max(0.0), along.to_array());
+            add_weighed(covariance, cube, (square - noise).max(0.0), along.to_array());
         }
     }
 }

@@ -1,6 +1,6 @@
 //! Markers of any layout in one camera: detection and tracking without a rig.
 
-use crate::detect::{DetectError, Detector, Markers, max_markers};
+use crate::detect::{DetectError, Detector, Folds, Markers, max_markers};
 use crate::image::GrayView;
 use crate::params::{Params, Region};
 use crate::track::{Certainty, ScatteredTracker, TooFewMarkers, Tracks};
@@ -47,6 +47,7 @@ impl core::error::Error for MarkerTrackerError {}
 pub struct MarkerTracker {
     params: Params,
     detector: Detector,
+    folds: Folds,
     tracker: Option<ScatteredTracker>,
     size_px: (usize, usize),
     detected: Markers,
@@ -59,6 +60,7 @@ impl MarkerTracker {
     pub fn new(params: &Params, region: Region<'_>) -> Self {
         Self {
             detector: Detector::new(&params.detect).within(region),
+            folds: Folds::default(),
             params: params.clone(),
             tracker: None,
             size_px: (0, 0),
@@ -76,6 +78,8 @@ impl MarkerTracker {
         let found = (image.width(), image.height());
         let Some(tracker) = &mut self.tracker else {
             self.detector.run(image, &mut self.detected).map_err(MarkerTrackerError::Detect)?;
+            self.folds.reserve(max_markers(&self.params.detect, found));
+            self.folds.widen(&mut self.detected);
             let mut tracker = ScatteredTracker::new(&self.params.track, found);
             tracker
                 .initialise(&self.detected, max_markers(&self.params.detect, found), &mut self.tracks)
@@ -90,6 +94,7 @@ impl MarkerTracker {
             tracker.hold(&mut self.tracks);
             return Err(MarkerTrackerError::Detect(error));
         }
+        self.folds.widen(&mut self.detected);
         Ok(tracker.run(&self.detected, &mut self.tracks))
     }
 

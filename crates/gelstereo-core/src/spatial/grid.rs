@@ -118,6 +118,15 @@ impl Grid {
         }
     }
 
+    /// Reserves memory for [`Self::build_evenly`] of so many points.
+    pub fn reserve_evenly(&mut self, points: usize) {
+        // Along each axis one bucket for 2.2 points and the last one; in the plane one for 2.2² and those.
+        self.starts.clear();
+        self.starts.reserve(points.saturating_mul(2) + 4);
+        self.items.clear();
+        self.items.reserve(points);
+    }
+
     /// Sorts finite points for [`Self::nearest_others`], in buckets of at least `min_side`. A bucket and its
     /// eight neighbours hold about forty points, or more.
     pub fn build_evenly<I>(&mut self, points: I, min_side: f64)
