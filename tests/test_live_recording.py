@@ -15,12 +15,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from test_compliance import of_layer
 from test_live import PATIENCE_S, SCENE, Played
 from test_recording_readers import check_frame, host_binary
 
 import gelstereo as gs
 from gelstereo._native import parse_toml
 from gelstereo.cli import main
+from gelstereo.export.forces import frames_with_forces
 from gelstereo.export.images import decoded
 from gelstereo.export.recording import recorded_frames
 from gelstereo.geometry import se3_exp, se3_log
@@ -95,6 +97,21 @@ def test_mcap_ros2_decodes_every_message(recorded: Path) -> None:
 
 def test_the_host_computes_the_same_bits_again(recorded: Path) -> None:
     replayed_by_the_host(recorded, frames=50, raw=recorded.stem == "raw")
+
+
+def test_the_gels_matrix_is_recorded_and_replayed(tmp_path: Path) -> None:
+    """Its wrenches come from the attachment: the file is gone."""
+    matrix, params, path = tmp_path / "narrow", tmp_path / "params.toml", tmp_path / "run.mcap"
+    gel = gs.Scene.load(SCENE).to_dict()["gel"]
+    of_layer(gel["rows"], gel["cols"], gel["pitch_mm"], 5.0, 0.48).save(matrix)
+    force = {"method": "ridge", "young_kpa": 100.0, "poisson_ratio": 0.48, "thickness_mm": 5.0}
+    params.write_text(gs.Params().replace(force=force).to_toml())
+    words = ["live", "--scene", SCENE, "--frames", "30", "--show", "none", "--record", path]
+    assert main([str(word) for word in [*words, "--params", params, "--compliance", matrix]]) == 0
+    matrix.unlink()
+    replayed_by_the_host(path, frames=30)
+    forces_n = [np.linalg.norm(frame.tactile["wrench"][:3]) for frame in frames_with_forces(path)]
+    assert max(forces_n) > 0.1
 
 
 def replayed_by_the_host(path: Path, frames: int, raw: bool = False) -> None:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from gelstereo import Error, Rig, Template
+from gelstereo import Compliance, Error, Rig, Template
 from gelstereo.cli.extras import module_of
 from gelstereo.cli.files import write_image
 from gelstereo.cli.options import add_guess, add_params, count, guess_of, params_of
@@ -65,6 +65,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     _add_camera(parser)
     add_params(parser)
+    parser.add_argument(
+        "--compliance",
+        type=Path,
+        metavar="FILE",
+        help="compliance matrix of a narrow gel, written by gelstereo compliance, for forces",
+    )
     part = parser.add_argument_group("pose of the part")
     part.add_argument(
         "--template",
@@ -127,7 +133,8 @@ def _add_camera(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Sense, show and record until the end; return the exit code."""
     setup = _setup(arguments)
-    sensor = LiveSensor(setup.rig, params_of(arguments), setup.part)
+    matrix = None if arguments.compliance is None else Compliance.load(arguments.compliance)
+    sensor = LiveSensor(setup.rig, params_of(arguments), setup.part, matrix)
     live = LiveRun(setup.source, sensor, arguments.frames)
     picture = LivePicture(setup.rig, setup.part, f"gelstereo live: {setup.source.name}")
 
@@ -144,6 +151,7 @@ def run(arguments: argparse.Namespace) -> int:
                     setup.rig,
                     sensor.params,
                     setup.shape,
+                    compliance=arguments.compliance,
                     png=arguments.images == "png",
                     wall_clock=arguments.camera is not None,
                 )

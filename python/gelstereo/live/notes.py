@@ -18,6 +18,8 @@ from gelstereo.live.source import LiveFrame
 
 Floats = npt.NDArray[np.float64]
 
+#: Name of the attachment with the gel's compliance matrix, as in the host's recordings.
+COMPLIANCE = "gel.compliance"
 _MM_PER_M = 1000.0
 
 #: Prior standard deviations of a held part for directions that its contact does not determine: the defaults
@@ -124,9 +126,14 @@ def _pixel_crc(image: npt.NDArray[np.uint8]) -> str:
     return f"{zlib.crc32(image.tobytes()):08x}"
 
 
-def config_toml(rig: Rig, params: Params, shape: dict[str, Any] | None = None) -> str:
-    """Configuration of the host with this rig, these settings and this part."""
-    parts = [_under("params", params.to_toml()), _under("rig", rig.to_toml())]
+def config_toml(
+    rig: Rig, params: Params, shape: dict[str, Any] | None = None, *, has_compliance: bool = False
+) -> str:
+    """Configuration of the host with this rig, these settings, this part and, if there is one, the attached
+    compliance matrix.
+    """
+    parts = [f"compliance_file = {json.dumps(COMPLIANCE)}\n"] if has_compliance else []
+    parts += [_under("params", params.to_toml()), _under("rig", rig.to_toml())]
     if shape is not None:
         parts.append(f"[part]\nshape = {_inline(shape)}\n")
     return "\n".join(parts)

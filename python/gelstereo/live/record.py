@@ -22,6 +22,7 @@ from gelstereo import Error, Frame, Localization, Params, Rig, Wrench, __version
 from gelstereo.extras import needs
 from gelstereo.geometry import so3_from_matrix
 from gelstereo.live.notes import (
+    COMPLIANCE,
     capture_note,
     config_toml,
     frame_note,
@@ -90,6 +91,8 @@ class LiveRecorder:
     shape : dict, optional
         The part's shape in the format of a scene's ``indenter``, so that `gelstereo view` can draw it. A mesh
         is attached.
+    compliance
+        File of the gel's compliance matrix, if the pipeline has one; it is attached.
     png
         Whether plain images are compressed without loss. Motion JPEG of a camera is stored unchanged.
     wall_clock
@@ -104,6 +107,7 @@ class LiveRecorder:
         params: Params,
         shape: dict[str, Any] | None = None,
         *,
+        compliance: Path | None = None,
         png: bool = True,
         wall_clock: bool = False,
     ) -> None:
@@ -117,18 +121,23 @@ class LiveRecorder:
         self._writer: Any = Writer(self._file, chunk_size=_MAX_CHUNK, compression=CompressionType.LZ4)
         self._writer.start(profile="ros2", library=f"gelstereo {__version__}")
         clock = "wall" if wall_clock else "source"
-        config = config_toml(rig, params, shape)
+        config = config_toml(rig, params, shape, has_compliance=compliance is not None)
         self._writer.add_metadata(
             "gelstereo", {"config_toml": config, "version": __version__, "log_clock": clock}
         )
         if shape is not None and shape["kind"] == "mesh":
             mesh = Path(shape["path"])
-            kind = "application/octet-stream"
-            self._writer.add_attachment(0, 0, name=mesh.name, media_type=kind, data=mesh.read_bytes())
+            self._attach(mesh.name, mesh)
+        if compliance is not None:
+            self._attach(COMPLIANCE, compliance)
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
         self._sequences = dict.fromkeys(_TOPICS, 0)
         self._writer.flush()
+
+    def _attach(self, name: str, path: Path) -> None:
+        kind = "application/octet-stream"
+        self._writer.add_attachment(0, 0, name=name, media_type=kind, data=path.read_bytes())
 
     def _channel(self, topic: str, name: str) -> int:
         """The topic's channel, created with its first message."""

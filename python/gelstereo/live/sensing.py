@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gelstereo import (
+    Compliance,
     Error,
     Frame,
     Localization,
@@ -71,11 +72,17 @@ class LiveSensor:
     the gel.
     """
 
-    def __init__(self, rig: Rig, params: Params, part: ExpectedPart | None = None) -> None:
+    def __init__(
+        self,
+        rig: Rig,
+        params: Params,
+        part: ExpectedPart | None = None,
+        compliance: Compliance | None = None,
+    ) -> None:
         self.rig = rig
         self.params = params
         self.part = part
-        self._pipeline = Pipeline(rig, params)
+        self._pipeline = Pipeline(rig, params, compliance=compliance)
         self._localizer: Localizer | None = None
         if part is not None:
             self._localizer = Localizer(part.template, guess=part.t_sensor_object, params=params)
