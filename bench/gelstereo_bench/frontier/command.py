@@ -15,7 +15,15 @@ from gelstereo.cli.options import count
 from gelstereo_bench.frontier.boards import measure_boards
 from gelstereo_bench.frontier.building import measure_building
 from gelstereo_bench.frontier.centres import CONDITIONS, measure_centres
-from gelstereo_bench.frontier.cost import cost_table, fit_costs, measure_costs, rust_lines, time_table
+from gelstereo_bench.frontier.cost import (
+    cost_table,
+    fit_costs,
+    measure_costs,
+    measure_times,
+    rust_lines,
+    time_table,
+)
+from gelstereo_bench.frontier.cost_reflections import FITTED, measure_reflections, reflection_table
 from gelstereo_bench.frontier.cost_registration import (
     measure_registration_costs,
     registration_line,
@@ -90,7 +98,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--no-instructions",
         action="store_true",
-        help="run neither callgrind nor the core's own timing program",
+        help="run neither callgrind nor the core's own timing program; of the topic cost, only the times",
     )
 
 
@@ -145,12 +153,23 @@ def _localization(arguments: argparse.Namespace, rounds: int, starts: int) -> in
 
 def _cost(arguments: argparse.Namespace) -> int:
     page = arguments.docs / "accuracy-vs-time.md"
-    check_page(page, ("cost", "cost-registration", "cost-times"))
-    samples = measure_costs(Path.cwd(), _report, arguments.quick)
+    source, quick = Path.cwd(), arguments.quick
+    check_page(page, ("cost", "cost-reflections", "cost-registration", "cost-times"))
+    timed = measure_times(source, _report, quick)
+    write_tables(page, time_table(timed))
+    if arguments.no_instructions:
+        print(f"wrote the times into {page}")
+        return 0
+    samples, reflections = measure_costs(source, _report, quick), measure_reflections(source, _report, quick)
+    samples += [sample for (_, name), sample in reflections.items() if name == FITTED]
     cost = fit_costs(samples)
-    registered = measure_registration_costs(Path.cwd(), _report, arguments.quick)
-    tables = [cost_table(samples, cost), time_table(samples, cost), registration_table(registered)]
-    write_tables(page, *tables)
+    registered = measure_registration_costs(source, _report, quick)
+    write_tables(
+        page,
+        cost_table(samples, cost),
+        reflection_table(reflections, cost),
+        registration_table(registered),
+    )
     print(f"registration: {registration_line(registered)}")
     print(f"wrote {page}; for crates/gelstereo-core/src/pipeline/work.rs:\n{rust_lines(cost)}")
     return 0

@@ -94,6 +94,15 @@ class InstructionCounter:
             found = [re.search(r"^totals: (\d+)", part.read_text(), re.MULTILINE) for part in parts]
         return [int(count[1]) for count in found if count]
 
+    def workload(self, params: Path, image: Path) -> dict[str, int]:
+        """What an image shows of the work of later ones, by name; empty on failure."""
+        if self._program is None:
+            return {}
+        command = [str(self._program), "workload", str(params), str(image)]
+        finished = subprocess.run(command, capture_output=True, text=True, check=False)
+        lines = finished.stdout.splitlines() if finished.returncode == 0 else []
+        return {name: int(value) for name, value in map(str.split, lines)}
+
     def _run(
         self, stage: str, files: Sequence[Path], *options: str
     ) -> subprocess.CompletedProcess[str] | None:

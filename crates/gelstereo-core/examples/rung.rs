@@ -2,6 +2,7 @@
 //!
 //! ```text
 //! rung detect   params.toml image.pgm image.pgm
+//! rung workload params.toml image.pgm
 //! rung frame    params.toml rig.toml left0.pgm right0.pgm left1.pgm right1.pgm ...
 //! rung frames   params.toml rig.toml left0.pgm right0.pgm left1.pgm right1.pgm ...
 //! rung afresh   params.toml rig.toml left0.pgm right0.pgm
@@ -25,7 +26,7 @@ mod pgm;
 use gelstereo_core::detect::{Detector, Markers};
 use gelstereo_core::image::GrayView;
 use gelstereo_core::math::{DVec3, Pose};
-use gelstereo_core::params::Params;
+use gelstereo_core::params::{FindAt, Params};
 use gelstereo_core::pipeline::{Frame, Pipeline};
 use gelstereo_core::register::{Contact, Registrar, Template};
 use gelstereo_core::rig::Rig;
@@ -37,11 +38,14 @@ use std::time::Instant;
 fn main() -> Outcome<()> {
     let words: Vec<String> = std::env::args().skip(1).collect();
     let [stage, params, files @ ..] = words.as_slice() else {
-        return Err("usage: rung detect|frame|frames|afresh|register|localize params.toml FILES".into());
+        return Err(
+            "usage: rung detect|workload|frame|frames|afresh|register|localize params.toml FILES".into()
+        );
     };
     let params: Params = toml::from_str(&fs::read_to_string(params)?)?;
     let outcome = match stage.as_str() {
         "detect" => detect(&params, files)?,
+        "workload" => workload(&params, files)?,
         "frame" => frame(&params, files)?,
         "frames" => frames(&params, files)?,
         "afresh" => afresh(&params, files)?,
@@ -69,6 +73,26 @@ fn detect(params: &Params, files: &[String]) -> Outcome<String> {
     let view = last.view()?;
     measured(|| detector.run(view, &mut markers))?;
     Ok(format!("{} markers", markers.centres_px.len()))
+}
+
+/// Area of the usual marker, and the detector's [`Workload`](gelstereo_core::detect::Workload).
+fn workload(params: &Params, files: &[String]) -> Outcome<String> {
+    let [file] = files else { return Err("give one image".into()) };
+    let (mut detector, mut markers) = (Detector::new(&params.detect), Markers::default());
+    detector.run(Pgm::read(file)?.view()?, &mut markers)?;
+    markers.area_px2.sort_unstable();
+    let usual_px2 = markers.area_px2.get(markers.area_px2.len() / 2).copied().unwrap_or(0);
+    let found = detector.workload();
+    Ok(format!(
+        "usual_px2 {usual_px2}\nis_half_size {}\nclosed_px {}\nnoise_rows {}\nrows_beside_noise {}\n\
+         fit_groups {}\nsums_pixels {}",
+        u8::from(found.found_at == FindAt::HalfSize),
+        found.closed_px,
+        found.noise_rows,
+        found.rows_beside_noise,
+        found.fit_groups,
+        u8::from(found.sums_pixels),
+    ))
 }
 
 fn frame(params: &Params, files: &[String]) -> Outcome<String> {

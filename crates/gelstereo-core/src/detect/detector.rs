@@ -12,6 +12,7 @@ use super::search::half::{self, HalfSize};
 use super::search::whole;
 use super::search::windows::WindowSearch;
 use super::window::size::MarkerSize;
+use super::workload::Workload;
 use crate::image::GrayView;
 use crate::math::{DVec2, ceil, sqrt};
 use crate::params::{Centre, DetectParams, FindAt, Region, Threshold};
@@ -160,6 +161,16 @@ impl Detector {
             (_, half::SCALE) => FindAt::HalfSize,
             _ => FindAt::FullSize,
         }
+    }
+
+    /// What the last whole image showed of the work of later ones.
+    #[must_use]
+    pub fn workload(&self) -> Workload {
+        let (segmentation, _) = self.searched();
+        let (found_at, closed_px) = (self.found_at(), segmentation.closed_px());
+        let mut workload = Workload { found_at, closed_px, ..Workload::default() };
+        self.rung.add_workload(&mut workload);
+        workload
     }
 
     /// Writes the mask of the last image, row by row: 255 where a pixel belongs to a component.

@@ -15,10 +15,13 @@ pub mod mask;
 mod outline;
 mod search;
 mod window;
+mod workload;
 
+pub(crate) use centre::soft_threshold::MAX_PROFILE_MARKERS;
 pub use detector::Detector;
 pub use error::DetectError;
 pub use folds::Folds;
 pub use found::{Found, WindowObservation};
 pub use markers::{CutMarker, MAX_MARKERS, Markers, PIXELS_PER_MARKER, max_markers};
 pub use window::size::MarkerSize;
+pub use workload::Workload;

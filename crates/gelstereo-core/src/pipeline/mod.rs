@@ -44,7 +44,7 @@ use alloc::vec::Vec;
 use discs::Discs;
 use epipolar::{Epipolar, variance_px2};
 use heights::Heights;
-use view::ViewStages;
+use view::{ViewStages, share_workloads};
 
 /// Sensing: stereo frames in, tactile point clouds out.
 #[derive(Clone, Debug)]
@@ -273,6 +273,7 @@ impl Pipeline {
             self.start(out)?;
             self.left.prepare(left, &self.params);
             self.right.prepare(right, &self.params);
+            share_workloads(&mut self.left, &mut self.right);
         } else {
             self.left.follow(&self.params);
             self.right.follow(&self.params);
@@ -280,6 +281,7 @@ impl Pipeline {
             if core::mem::take(&mut self.resumes) || begins {
                 self.left.prepare(left, &self.params);
                 self.right.prepare(right, &self.params);
+                share_workloads(&mut self.left, &mut self.right);
             }
         }
         self.finish(out)

@@ -5,7 +5,7 @@ use super::frame::{LabelSource, Searched, ViewEvidence};
 use super::rest_record::RestView;
 use super::windows::{LatticeScale, Windows};
 use super::work::{self, DetectRung, ViewSize};
-use crate::detect::{DetectError, Detector, Markers, max_markers};
+use crate::detect::{DetectError, Detector, Markers, Workload, max_markers};
 use crate::image::GrayView;
 use crate::lattice::{self, LatticeFinder, RestLattice};
 use crate::math::DVec2;
@@ -35,8 +35,9 @@ pub(super) struct ViewStages {
     pub work: u64,
     /// Whether this frame's markers are held because its limit left no time to label them afresh.
     skipped: bool,
-    /// Area of the usual marker of the rest frame.
+    /// Area of the usual marker of the rest frame, and what it showed of the work of later frames.
     usual_px2: f64,
+    workloads: [Workload; 2],
     markers: Markers,
     detected: Result<(), DetectError>,
     tracker: Tracker,
@@ -77,6 +78,7 @@ impl ViewStages {
             work: 0,
             skipped: false,
             usual_px2: 0.0,
+            workloads: [Workload::default(); 2],
             markers: Markers::default(),
             detected: Ok(()),
             tracker: Tracker::new(&params.track),
@@ -190,11 +192,13 @@ impl ViewStages {
 
     /// What this view's work grows with.
     pub fn size(&self, params: &Params) -> ViewSize {
-        let (width, height) = match params.detect.roi.of(self.view).rect_px {
+        let size_px = match params.detect.roi.of(self.view).rect_px {
             Some([.., width, height]) => (width, height),
             None => self.size_px,
         };
-        ViewSize { pixels: width * height, markers: self.rows * self.cols, marker_px2: self.usual_px2 }
+        let (markers, marker_px2) = (self.rows * self.cols, self.usual_px2);
+        let [configured, cheaper] = self.workloads;
+        ViewSize { size_px, markers, marker_px2, configured, cheaper }
     }
 
     /// Runs detection and tracking in windows. Returns whether they are as certain as the previous frame;
@@ -232,6 +236,8 @@ impl ViewStages {
             // It learns the image's noise.
             let _ = cheaper.run(image, &mut self.windows.found.markers);
         }
+        let of_cheaper = self.cheaper.as_deref().map(Detector::workload);
+        self.workloads = [self.detector.workload(), of_cheaper.unwrap_or_default()];
         if self.is_limited || params.detect.search == Search::Windows {
             let Self { windows, detector, cheaper, markers, tracks, .. } = self;
             let size_px = (image.width(), image.height());
@@ -444,6 +450,16 @@ impl ViewStages {
         self.is_sorted = true;
         let relabelled = self.order.iter().enumerate().filter(|&(slot, &track)| slot != track).count();
         self.evidence = self.evidence(LabelSource::Foresight, relabelled);
+    }
+}
+
+/// Lets both views count as the one that takes more, since both get the same limit.
+pub(super) fn share_workloads(left: &mut ViewStages, right: &mut ViewStages) {
+    let usual_px2 = left.usual_px2.max(right.usual_px2);
+    let [own, cheaper] = left.workloads;
+    let workloads = [own.larger(right.workloads[0]), cheaper.larger(right.workloads[1])];
+    for view in [left, right] {
+        (view.usual_px2, view.workloads) = (usual_px2, workloads);
     }
 }
 

@@ -19,6 +19,7 @@ use super::mask::blob_filter::BlobFilter;
 use super::mask::components::{Blob, Run};
 use super::mask::segmentation::Segmentation;
 use super::window::size::MarkerSize;
+use super::workload::Workload;
 use crate::image::GrayView;
 
 /// Components of an image, and the filter that selects the markers.
@@ -66,6 +67,9 @@ pub(super) trait CentreRung {
     fn area_shows_glare(&self) -> bool {
         true
     }
+
+    /// Adds what the last image showed of the work of later ones.
+    fn add_workload(&self, _: &mut Workload) {}
 
     /// Discards what was learned from earlier images.
     fn forget(&mut self) {}

@@ -123,6 +123,11 @@ impl Difference {
         &self.thresholds
     }
 
+    /// Pixels of the last image that were closed around reflections, counted each time.
+    pub const fn closed_px(&self) -> usize {
+        self.reflections.closed_px()
+    }
+
     /// Writes 255 where a pixel of row `y` of the prepared image differs by the threshold, else 0. Rows
     /// must be passed in order, from row 0 on.
     pub fn row(&mut self, image: GrayView<'_>, y: usize, mask: &mut [u8]) {

@@ -31,6 +31,8 @@ pub(super) struct Reflections {
     limits: Vec<Option<u8>>,
     /// A row of pixels.
     row: Vec<u8>,
+    /// Pixels closed in this image, counted each time.
+    closed_px: usize,
 }
 
 impl Reflections {
@@ -44,7 +46,13 @@ impl Reflections {
             depths: Vec::new(),
             limits: Vec::new(),
             row: Vec::new(),
+            closed_px: 0,
         }
+    }
+
+    /// Pixels closed in the last image, counted each time.
+    pub const fn closed_px(&self) -> usize {
+        self.closed_px
     }
 
     /// Reserves what an image of this width needs.
@@ -56,6 +64,7 @@ impl Reflections {
         self.limits.clear();
         self.limits.reserve(width.div_ceil(BLOCK_PX));
         self.row.resize(width, 0);
+        self.closed_px = 0;
     }
 
     /// Whether a block of the row of blocks that begins at row `y` of pixels, or one beside it, is in a
@@ -82,6 +91,7 @@ impl Reflections {
         self.closed.clear();
         self.closed.extend_from_slice(&smoothed[self.first * width..end * width]);
         close(&mut self.closed, &mut self.row, self.side_px);
+        self.closed_px += self.closed.len();
         self.depths.clear();
         self.depths.resize(rows.len().div_ceil(BLOCK_PX) * cols, 0);
         for y in rows {

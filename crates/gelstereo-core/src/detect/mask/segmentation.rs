@@ -73,6 +73,11 @@ impl Segmentation {
         self.difference.thresholds().feels_noise()
     }
 
+    /// Pixels of the last image that were closed around reflections, counted each time.
+    pub const fn closed_px(&self) -> usize {
+        self.difference.closed_px()
+    }
+
     /// Computes the mask of the whole image, without components.
     fn mask_all(&mut self, image: GrayView<'_>) {
         self.difference.survey(image);

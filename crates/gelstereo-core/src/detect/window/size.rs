@@ -54,6 +54,11 @@ impl MarkerSize {
         self.side_px <= 16
     }
 
+    /// Rows of 16 pixels of a window, in which it is read.
+    pub(crate) const fn rows_of_16(&self) -> usize {
+        if self.is_small() { self.side_px } else { 2 * self.side_px }
+    }
+
     pub(in crate::detect) fn usual_area_px2(&self) -> f64 {
         core::f64::consts::PI * self.radius_px * self.radius_px
     }

@@ -135,6 +135,11 @@ struct Scratch {
     pull: Lanes,
 }
 
+/// Groups of pixels in a window of this radius.
+pub(super) fn groups_within(radius_px: f64) -> usize {
+    Extent::whole(radius_px).spans().map(|(.., count)| count).sum::<usize>().div_ceil(WIDTH)
+}
+
 impl Window {
     /// Reserves memory for a window of `side` pixels across.
     pub fn reserve(&mut self, side: usize) {

@@ -1,13 +1,14 @@
 //! Fit of one marker, using what is common to the markers of its image.
 
 use super::contour;
-use super::disc::{Levels, Matrix, Outline, Window};
+use super::disc::{Levels, Matrix, Outline, Window, groups_within};
 use super::edge::Edge;
 use super::step::{Fitted, Start, apply, covariance, plausible, step};
 use super::template::{Template, TemplateStep};
 use crate::detect::centre::covered;
 use crate::detect::centre::influence::Variances;
 use crate::detect::centre::noise::Noise;
+use crate::detect::workload::Workload;
 use crate::image::GrayView;
 use crate::math::linalg::Symmetric;
 use crate::math::{DVec2, Factor, abs, round, sqrt};
@@ -129,6 +130,14 @@ impl Fitter {
     /// Usual radius of a marker's component, px; 0 before the first image.
     pub fn usual_radius_px(&self) -> f64 {
         self.usual_start(DVec2::ZERO).radius_px()
+    }
+
+    /// Adds the usual window of a fit.
+    pub fn add_workload(&self, workload: &mut Workload) {
+        if self.usual_window_px > 0.0 {
+            workload.fit_groups = groups_within(self.usual_window_px);
+            workload.sums_pixels = self.over_contour.is_none();
+        }
     }
 
     fn usual_start(&self, centre_px: DVec2) -> Start {

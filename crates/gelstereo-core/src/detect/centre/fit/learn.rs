@@ -10,6 +10,7 @@ use crate::detect::centre::influence::{Influence, MAX_PIXELS, Variances};
 use crate::detect::centre::middle::Middle;
 use crate::detect::centre::noise::{ENOUGH_ROWS, MarkerPixels, NoiseMeter, NoiseRows};
 use crate::detect::centre::sampling;
+use crate::detect::workload::Workload;
 use crate::image::GrayView;
 use crate::math::linalg::Symmetric;
 use crate::math::{DVec2, Factor, ceil, median, sqrt};
@@ -75,6 +76,11 @@ impl Learner {
     pub fn reserve(&mut self, max: usize) {
         self.centres_px.clear();
         self.centres_px.reserve(max);
+    }
+
+    /// Adds the rows in which the last image's noise was looked for.
+    pub fn add_workload(&self, workload: &mut Workload) {
+        self.meter.add_workload(workload);
     }
 
     /// Learns noise and blur of an image from its gel and some of its markers.

@@ -29,6 +29,7 @@ use crate::detect::markers::Markers;
 use crate::detect::mask::components::{Blob, Limits};
 use crate::detect::mask::segmentation::MIN_NEIGHBOUR_PX2;
 use crate::detect::window::size::MarkerSize;
+use crate::detect::workload::Workload;
 use crate::image::GrayView;
 use crate::math::DVec2;
 use crate::math::linalg::Symmetric;
@@ -239,6 +240,11 @@ impl CentreRung for DiscFit {
     /// A fitted marker is judged by its outline, and areas of others are in their variances already.
     fn area_shows_glare(&self) -> bool {
         false
+    }
+
+    fn add_workload(&self, workload: &mut Workload) {
+        self.learner.add_workload(workload);
+        self.fitter.add_workload(workload);
     }
 
     fn forget(&mut self) {

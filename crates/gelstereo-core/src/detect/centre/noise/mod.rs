@@ -6,6 +6,7 @@ use crate::detect::centre::covered::GLARE_LEVEL;
 use crate::detect::centre::region::Region;
 use crate::detect::mask::bit_rows::BitRow;
 use crate::detect::mask::components::Components;
+use crate::detect::workload::Workload;
 use crate::image::GrayView;
 use crate::math::{DVec2, abs, exp, median, sqrt};
 use alloc::vec::Vec;
@@ -181,6 +182,9 @@ pub(in crate::detect) struct NoiseMeter {
     near: BitRow,
     pieces: Vec<Piece>,
     scratch: Vec<f64>,
+    /// Rows read of the last image, and rows whose markers were left out for each of them.
+    rows: usize,
+    beside: usize,
 }
 
 /// Variogram of one piece of gel.
@@ -223,6 +227,7 @@ impl NoiseMeter {
         rows: NoiseRows,
     ) -> Option<Noise> {
         let NoiseRows { rows, clearance_px } = rows;
+        (self.rows, self.beside) = (0, 0);
         let every = (image.height() / rows).max(1);
         self.pieces.clear();
         // More rows among the markers are used only if these have too few pairs.
@@ -263,6 +268,12 @@ impl NoiseMeter {
         self.noise(&all)
     }
 
+    /// Adds the rows read of the last image.
+    pub fn add_workload(&self, workload: &mut Workload) {
+        workload.noise_rows += self.rows;
+        workload.rows_beside_noise += self.beside;
+    }
+
     /// Collects the pieces in these columns of rows.
     fn take_rows(
         &mut self,
@@ -279,6 +290,8 @@ impl NoiseMeter {
             if counted.is_empty() {
                 continue;
             }
+            self.rows += 1;
+            self.beside += 2 * clearance_px + 1;
             self.near.start(width);
             cover(y - clearance_px..=y + clearance_px, &mut self.near);
             // Most gaps between markers are too short for a piece; this closes them.

@@ -17,6 +17,7 @@ use crate::detect::markers::Markers;
 use crate::detect::window::classifier::{WindowClassifier, WindowMarker};
 use crate::detect::window::size::MarkerSize;
 use crate::detect::window::sized::SizedClassifier;
+use crate::detect::workload::Workload;
 use crate::image::GrayView;
 use crate::math::DVec2;
 use crate::params::{DetectParams, Polarity};
@@ -31,7 +32,7 @@ const NOISE_ROWS: usize = 80;
 /// print of 25x25 has, for which the covariances were calibrated. With 200 of those, the variances on the
 /// path-traced working images would be 7 % larger in the median and up to 36 %, since the sampling error of
 /// an uneven profile is larger.
-const MAX_PROFILE_MARKERS: usize = 625;
+pub(crate) const MAX_PROFILE_MARKERS: usize = 625;
 
 /// Variance of 1 / band² over its square, for noise equal to the band. The band is half the contrast
 /// between the corners' mean of 36 pixels or so and the darkest pixel, the least of some twenty, whose
@@ -233,6 +234,10 @@ impl CentreRung for SoftThreshold {
 
     fn window_variance_px2(&self, band: u8) -> f64 {
         self.noise.variance_px2(band, self.variance_px2)
+    }
+
+    fn add_workload(&self, workload: &mut Workload) {
+        self.meter.add_workload(workload);
     }
 
     fn forget(&mut self) {
