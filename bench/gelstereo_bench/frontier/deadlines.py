@@ -18,7 +18,7 @@ from gelstereo_bench.frontier.table import Report, Table
 __all__ = ["Kept", "deadline_table", "measure_deadlines"]
 
 #: Deadlines that leave no choice, some, and all, ms.
-_DEADLINES_MS = {"balanced": (0.7, 1.0, 1.5, 5.0), "exact": (1.0, 2.0, 5.0, 8.0)}
+_DEADLINES_MS = {"balanced": (0.7, 1.0, 1.5, 2.0, 3.0, 5.0), "exact": (1.0, 2.0, 3.0, 5.0, 8.0)}
 #: Frames in which the time of a unit of work is learned.
 _WARM_UP = 2000
 
