@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
+import sys
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -46,6 +48,9 @@ class Kept:
 
 
 def _spin() -> None:
+    if sys.platform == "linux":
+        # Under `chrt`, the busy process would inherit the policy.
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     while True:
         pass
 
