@@ -221,8 +221,10 @@ mod tests {
             prop_assert!(by_closing.abs_diff((100.0 * CLOSED_KILOPIXEL * more as f64) as u64) <= 1);
             prop_assert_eq!(windows(&fine, rung, &closed), windows(&fine, rung, &size));
             let wide = with(Workload { fit_groups: fit_groups + more, ..size.configured });
-            let by_groups = windows(&fine, rung, &wide) - windows(&fine, rung, &size);
-            prop_assert!(by_groups >= (more * size.markers) as u64);
+            let fit = settings(Centre::Fit, 0.02);
+            let by_groups = windows(&fit, rung, &wide) - windows(&fit, rung, &size);
+            prop_assert!(by_groups.abs_diff((FIT_GROUP * (more * size.markers) as f64) as u64) <= 1);
+            prop_assert!(windows(&fine, rung, &wide) - windows(&fine, rung, &size) > by_groups);
             let summed = with(Workload { sums_pixels: true, ..size.configured });
             let quick = with(Workload { sums_pixels: false, ..size.configured });
             prop_assert!(windows(&fine, rung, &summed) > windows(&fine, rung, &quick));
