@@ -123,6 +123,7 @@ impl BandNoise {
                 profile.close(frame);
             }
         }
+        profile.end_at_edge();
         self.learned = profile.variances(noise).and_then(|variances| {
             let others_px2 = variances.grain + profile.grid_error_px2(variances.noise_share);
             Some(Learned { variances, others_px2, usual: Usual::of(bands, variances.noise_share)? })

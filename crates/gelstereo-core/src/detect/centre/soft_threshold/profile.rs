@@ -1,8 +1,9 @@
 //! Radial profile of a marker's weights, and the effect of noise on the centroid with such weights.
 
 use crate::detect::centre::noise::Noise;
+use crate::detect::mask::blob_filter::AREA_SPREAD;
 use crate::detect::window::classifier::Frame;
-use crate::math::{DVec2, erf, exp, floor, sqrt};
+use crate::math::{DVec2, abs, erf, exp, floor, sqrt};
 use core::f64::consts::{FRAC_1_SQRT_2, PI, TAU};
 
 /// Rings of equal area: a quarter of a pixel wide at the outline of a disc of any radius.
@@ -17,6 +18,8 @@ const MIN_ANSWER: f64 = 1e-4;
 
 /// Positions per axis in one quadrant of a pixel, which by symmetry represents the others.
 const PLACES: usize = 3;
+/// Largest variance of the radii that counts, px²: beyond it their errors are evenly spread.
+const MAX_RADII_PX2: f64 = 0.04;
 /// Least deviation of a share for which its mean is computed.
 const MIN_DEVIATION: f64 = 1e-3;
 
@@ -39,6 +42,11 @@ pub(super) struct Profile {
     per_band2: f64,
     gel_levels: f64,
     frame: Option<Frame>,
+    /// Sum of the weights of the window whose pixels are being added.
+    weight: f64,
+    /// Number of windows, sum and sum of squares of their weights, without those unlike the usual marker.
+    weights: [f64; 3],
+    usual_weight: f64,
 }
 
 /// Variances of a coordinate, px², from white noise and from grain, for a marker of the usual band.
@@ -65,6 +73,9 @@ impl Profile {
             per_band2: 0.0,
             gel_levels: 0.0,
             frame: None,
+            weight: 0.0,
+            weights: [0.0; 3],
+            usual_weight: PI * radius_px * radius_px,
         }
     }
 
@@ -74,6 +85,7 @@ impl Profile {
         let ring = &mut self.rings[((distance_px2 * self.per_px2) as usize).min(RINGS - 1)];
         ring.pixels += 1.0;
         ring.shares += share;
+        self.weight += share.clamp(0.0, 1.0);
     }
 
     /// Completes the window whose pixels were added.
@@ -82,12 +94,39 @@ impl Profile {
         self.per_band2 += 1.0 / (frame.band * frame.band);
         self.gel_levels += frame.gel_level;
         self.frame = Some(frame);
+        let weight = core::mem::take(&mut self.weight);
+        if abs(weight / self.usual_weight - 1.0) <= AREA_SPREAD {
+            let terms = [1.0, weight, weight * weight];
+            self.weights.iter_mut().zip(terms).for_each(|(sum, term)| *sum += term);
+        }
+    }
+
+    /// Variance of the markers' radii, px²: a marker's weights sum to its area.
+    fn radii_px2(&self) -> f64 {
+        let [count, sum, squares] = self.weights;
+        let mean = sum / count.max(1.0);
+        let variance = (squares / count.max(1.0) - mean * mean).max(0.0);
+        // A = π r², dA = 2 π r dr.
+        if mean > 0.0 { variance / (4.0 * PI * mean) } else { 0.0 }
     }
 
     /// Mean share of a ring; that of the gel if it has no pixels.
     fn share(&self, ring: usize) -> f64 {
         let Ring { pixels, shares } = self.rings[ring];
         if pixels > 0.0 { shares / pixels } else { self.frame.map_or(0.0, |frame| frame.gel_share) }
+    }
+
+    /// Replaces the rings around the markers' edge by gel where few pixels say something else: those of a
+    /// tray beside one marker.
+    pub fn end_at_edge(&mut self) {
+        let Some(gel_share) = self.frame.map(|frame| frame.gel_share) else { return };
+        let is_gel = |ring: &Ring| ring.pixels > 0.0 && ring.shares < 0.5 * gel_share * ring.pixels;
+        let Some(first) = self.rings.iter().position(is_gel) else { return };
+        for ring in &mut self.rings[first..] {
+            if !is_gel(ring) {
+                ring.shares = gel_share * ring.pixels;
+            }
+        }
     }
 
     /// Variances in this noise; `None` if there is no marker.
@@ -173,7 +212,8 @@ impl Profile {
     /// pixel grid.
     ///
     /// It is the mean of (Σ w p / Σ w)² over sub-pixel positions of the centre, for weights that depend
-    /// on the distance only, smoothed by noise of this deviation.
+    /// on the distance only, smoothed by noise of this deviation. The error repeats with the radius, by twice
+    /// in a pixel. It is therefore the mean over the radii of the markers, too.
     pub fn grid_error_px2(&self, noise_share: f64) -> f64 {
         let deviation = noise_share.max(MIN_DEVIATION);
         let weights: [f64; RINGS] = core::array::from_fn(|ring| Kept::of(self.share(ring), deviation).mean);
@@ -187,12 +227,13 @@ impl Profile {
             }
         };
         let reach = sqrt(RINGS as f64 / self.per_px2) as i32 + 1;
-        let error_px2 = |x: f64, y: f64| {
+        let error_px2 = |x: f64, y: f64, wider_px: f64| {
             let (mut sum, mut moment) = (0.0, DVec2::ZERO);
             for row in -reach..=reach {
                 for column in -reach..=reach {
                     let at = DVec2::new(f64::from(column) - x, f64::from(row) - y);
-                    let weight = weight_at(at.length_squared());
+                    let far_px = (at.length() - wider_px).max(0.0);
+                    let weight = weight_at(far_px * far_px);
                     sum += weight;
                     moment += at * weight;
                 }
@@ -201,8 +242,14 @@ impl Profile {
         };
         let places = (0..PLACES * PLACES).map(|n| (n % PLACES, n / PLACES));
         let place = |n: usize| (n as f64 + 0.5) / (2 * PLACES) as f64;
-        let mean_px2 =
-            places.map(|(x, y)| error_px2(place(x), place(y))).sum::<f64>() / (PLACES * PLACES) as f64;
+        // Radii that differ: their mean by three nodes (Gauss and Hermite), exact to the fifth order.
+        let radii_px2 = self.radii_px2().min(MAX_RADII_PX2);
+        let apart_px = sqrt(3.0 * radii_px2);
+        let mean_px2 = places
+            .flat_map(|(x, y)| [(-apart_px, 1.0), (0.0, 4.0), (apart_px, 1.0)].map(|node| (x, y, node)))
+            .map(|(x, y, (wider_px, share))| share / 6.0 * error_px2(place(x), place(y), wider_px))
+            .sum::<f64>()
+            / (PLACES * PLACES) as f64;
         // Means over rings of width w, and linear interpolation, smooth the weights by a variance of
         // w² / 12 + w² / 6. The amplitude of what repeats with the pixels falls by exp(-2 π² w² / 4).
         let outline = weights.iter().position(|&weight| weight < 0.5).unwrap_or(RINGS) as f64;

@@ -1,6 +1,6 @@
 //! Compares the profile with the mean marker and with sub-pixel positions.
 
-use super::{Frame, Kept, Profile, RING_PX, bessel_i1_scaled};
+use super::{Frame, Kept, Profile, RING_PX, RINGS, bessel_i1_scaled};
 use crate::detect::centre::noise::Noise;
 use crate::math::{abs, erf, exp, ln, sqrt};
 use alloc::vec::Vec;
@@ -276,4 +276,43 @@ fn the_bessel_function_is_its_integral() {
         let expected: f64 = (0..1000).map(term).sum();
         assert!(abs(bessel_i1_scaled(x) - expected) < 3e-7, "{x}");
     }
+}
+
+/// Before, pixels of a tray beside a single marker made every error of its image eight times as large.
+#[test]
+fn a_tray_beside_one_marker_changes_no_error() {
+    let clear = profile(4.1, 60.0);
+    let mut beside = clear.clone();
+    // As far as only the outermost pixels of a window.
+    for (nearer, share) in [(0.0, 0.7), (3.0, 0.9)] {
+        beside.add((RINGS as f64 - 1.0 - nearer) / clear.per_px2, share);
+    }
+    let (before, wrong) = (clear.grid_error_px2(0.03), beside.grid_error_px2(0.03));
+    beside.end_at_edge();
+    let after = beside.grid_error_px2(0.03);
+    assert!(wrong > 2.0 * before && abs(after / before - 1.0) < 1e-9, "{before} {wrong} {after}");
+}
+
+/// The error of equal markers depends on their radius, and that of unequal ones is its mean.
+#[test]
+fn errors_by_the_grid_are_means_over_the_radii() {
+    let mut mixed = profile(4.1, 60.0);
+    assert!(mixed.radii_px2() < 1e-4, "{}", mixed.radii_px2());
+    let frame = mixed.frame.unwrap();
+    for radius_px in [4.1 - 0.15, 4.1 + 0.15] {
+        for phase in phases() {
+            for [x, y] in places(phase) {
+                mixed.add(x * x + y * y, share(radius_px, sqrt(x * x + y * y)));
+            }
+            mixed.close(frame);
+        }
+    }
+    // Two of three markers are 0.15 px off the mean.
+    let expected_px2 = 2.0 / 3.0 * 0.15 * 0.15;
+    assert!(abs(mixed.radii_px2() / expected_px2 - 1.0) < 0.1, "{}", mixed.radii_px2());
+    let alike = [3.95, 4.1, 4.25].map(|radius_px| profile(radius_px, 60.0).grid_error_px2(0.03));
+    let (least, largest) =
+        (alike.into_iter().fold(f64::MAX, f64::min), alike.into_iter().fold(0.0, f64::max));
+    let found = mixed.grid_error_px2(0.03);
+    assert!((0.3 * least..1.5 * largest).contains(&found), "{found} {alike:?}");
 }
