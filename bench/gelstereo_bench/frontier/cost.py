@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -83,7 +83,7 @@ class Sample:
     def multiples(self) -> Mapping[str, float]:
         """Of each constant of `pipeline/work.rs`."""
         later = ("FRAME", *self.variant.later) if self.lattice else ()
-        out = Counter({name: float(self.markers) for name in later})
+        out = defaultdict(float, {name: float(self.markers) for name in later})
         for name, of_view in self._of_view():
             out[name] += of_view * (2.0 if self.lattice else 1.0)
         return out

@@ -240,14 +240,17 @@ impl Profile {
             }
             0.5 * (moment / sum.max(f64::MIN_POSITIVE)).length_squared()
         };
-        let places = (0..PLACES * PLACES).map(|n| (n % PLACES, n / PLACES));
+        // Positions on either side of the quadrant's diagonal have the same error.
+        let places = (0..PLACES).flat_map(|x| (0..=x).map(move |y| (x, y, if x == y { 1.0 } else { 2.0 })));
         let place = |n: usize| (n as f64 + 0.5) / (2 * PLACES) as f64;
         // Radii that differ: their mean by three nodes (Gauss and Hermite), exact to the fifth order.
         let radii_px2 = self.radii_px2().min(MAX_RADII_PX2);
         let apart_px = sqrt(3.0 * radii_px2);
         let mean_px2 = places
-            .flat_map(|(x, y)| [(-apart_px, 1.0), (0.0, 4.0), (apart_px, 1.0)].map(|node| (x, y, node)))
-            .map(|(x, y, (wider_px, share))| share / 6.0 * error_px2(place(x), place(y), wider_px))
+            .flat_map(|at| [(-apart_px, 1.0), (0.0, 4.0), (apart_px, 1.0)].map(|node| (at, node)))
+            .map(|((x, y, twice), (wider_px, share))| {
+                twice * share / 6.0 * error_px2(place(x), place(y), wider_px)
+            })
             .sum::<f64>()
             / (PLACES * PLACES) as f64;
         // Means over rings of width w, and linear interpolation, smooth the weights by a variance of
