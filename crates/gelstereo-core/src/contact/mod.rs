@@ -8,6 +8,7 @@ mod detector;
 mod pressure;
 mod rule;
 mod sharing;
+mod smooth;
 mod stencils;
 mod stereo_mismatch;
 

@@ -228,9 +228,9 @@ mod tests {
             prop_assert_eq!(scale, 1.0);
         }
 
-        /// Markers under a glint and unseen ones do not count. The mean of the 565 or more other squares has a
-        /// standard error of 6 %. Six times that is allowed: the chi-squared distribution exceeds five times
-        /// (1.30) once in 400 000 cases.
+        /// Markers under a glint and unseen ones do not count. The mean of the 565 or more other squares has
+        /// a standard error of 6 %. Six times that is allowed: the chi-squared distribution exceeds five
+        /// times (1.30) once in 400 000 cases.
         #[test]
         fn wild_residuals_do_not_count(seed in any::<u64>(), at in prop::collection::vec(0..MARKERS, 60)) {
             let mut residuals_px = residuals_px(seed, 1.0, 0.3);
