@@ -66,13 +66,13 @@ test-long: prerequisites $(BIN)/python lint
 	@.ci/long-prerequisites.sh
 	$(BIN)/pip install --quiet '.[test,long]' './bench[batch,physics]'
 	cargo build --release --quiet -p gelstereo-host --bins --example world_server
-	GELSTEREO_KILLS=25 cargo test --quiet --workspace --test all -- faults::
-	GELSTEREO_LONG_FRAMES=4000 cargo test --quiet --workspace --test long_run
+	GELSTEREO_KILLS=15 cargo test --quiet --workspace --test all -- faults::
+	GELSTEREO_LONG_FRAMES=3000 cargo test --quiet --workspace --test long_run
 	GELSTEREO_SOAK_FRAMES=2000 cargo test --quiet --workspace --test all -- row_35_a_localizer
 	@# Many seeds and many configurations: worth a build of the host with optimisation.
-	GELSTEREO_SEEDS=4 cargo test --quiet --config 'profile.dev.package.gelstereo-host.opt-level=2' --workspace --test all -- --ignored --skip faults::
+	GELSTEREO_SEEDS=3 cargo test --quiet --config 'profile.dev.package.gelstereo-host.opt-level=2' --workspace --test all -- --ignored --skip faults::
 	$(MAKE) long-builds
-	GELSTEREO_RUNS=4 $(BIN)/pytest -m "long and realtime"
+	GELSTEREO_RUNS=3 $(BIN)/pytest -m "long and realtime"
 	$(BIN)/pytest -n auto -m "long and not realtime"
 	@# One waits for compilers and emulators of one thread where the other computes.
 	$(MAKE) --jobs=2 same-bits fuzz
@@ -92,7 +92,7 @@ explore: prerequisites
 	cargo test --workspace --quiet
 
 # So many seconds for each target; a find ends it.
-FUZZ_SECONDS ?= 4
+FUZZ_SECONDS ?= 3
 fuzz: prerequisites
 	cargo fmt --manifest-path fuzz/Cargo.toml --check
 	env -u MAKEFLAGS fuzz/run.sh $(FUZZ_SECONDS)
