@@ -66,7 +66,7 @@ test-long: prerequisites $(BIN)/python lint
 	@.ci/long-prerequisites.sh
 	$(BIN)/pip install --quiet '.[test,long]' './bench[batch,physics]'
 	cargo build --release --quiet -p gelstereo-host --bins --example world_server
-	GELSTEREO_KILLS=15 cargo test --quiet --workspace --test all -- faults::
+	GELSTEREO_KILLS=25 cargo test --quiet --workspace --test all -- faults::
 	GELSTEREO_LONG_FRAMES=3000 cargo test --quiet --workspace --test long_run
 	GELSTEREO_SOAK_FRAMES=2000 cargo test --quiet --workspace --test all -- row_35_a_localizer
 	@# Many seeds and many configurations: worth a build of the host with optimisation.

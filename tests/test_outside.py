@@ -263,12 +263,16 @@ def test_presets_name_markers_right_where_they_see_them(half: str) -> None:
 
 
 def test_row_36_one_rule_for_gels_by_finite_elements() -> None:
-    """Contacts for work: the adaptive rule has at least 0.85 on each law, and the best mean."""
+    """Contacts for work: the adaptive rule has at least 0.85 on each law, and the best mean. Without what a
+    smooth part explains it has 0.90 and 0.93 on the solved gels.
+    """
     scores = judge(0.005, "w", RULES)
     assert len(scores) == 5
     mean_f1 = {rule: np.mean([np.mean(by_rule[rule].f1) for by_rule in scores.values()]) for rule in RULES}
     adaptive = RULES[0]
     assert min(np.mean(by_rule[adaptive].f1) for by_rule in scores.values()) >= 0.85
+    for gel, least in (("gel a", 0.91), ("gel c", 0.94)):
+        assert np.mean(scores[gel][adaptive].f1) > least
     assert all(mean_f1[adaptive] > mean_f1[rule] for rule in RULES[1:])
 
 

@@ -265,6 +265,20 @@ impl AdaptiveSaliency {
             let share = self.take_share(step, deepest_mm, indentation_mm, state);
             self.compare(ContactRule::Share { share }, best, rule, out);
         }
+        self.widen(indentation_mm, state, deepest_mm, *best, rule, out);
+    }
+
+    /// Replaces the candidate with the best score by the largest share that scores nearly as well and is that
+    /// of a smooth part. The evidence is that of the heights.
+    fn widen(
+        &mut self,
+        indentation_mm: &[f64],
+        state: &[MarkerState],
+        deepest_mm: f64,
+        best: f64,
+        rule: &mut Option<ContactRule>,
+        out: &mut [bool],
+    ) {
         let count = |all: &[bool]| all.iter().filter(|touches| **touches).count();
         let found = count(out);
         let model_mm2 = SMOOTH.0 * SMOOTH.0 * deepest_mm * deepest_mm;
@@ -273,7 +287,7 @@ impl AdaptiveSaliency {
             if count(&self.candidate) <= found {
                 return;
             }
-            if self.score().is_none_or(|score| score < NEARLY * *best) {
+            if self.score().is_none_or(|score| score < NEARLY * best) {
                 continue;
             }
             let topology = self.pressure.stencils().topology;

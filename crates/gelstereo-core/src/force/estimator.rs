@@ -13,6 +13,7 @@ use super::moved::MovedMarkers;
 use super::resultant::{Place, Stiffness, spread};
 use super::strain::Strain;
 use super::uneven::UnevenCells;
+use super::work::Size;
 use super::wrench::Wrench;
 use crate::contact::RestSurface;
 use crate::lattice::Topology;
@@ -33,19 +34,6 @@ const MAX_RIM_PITCHES: f64 = 64.0;
 /// Standard deviation of a shear force, over the pressing force: the layer's error turns that much of one
 /// into the other.
 const OF_PRESSING: f64 = 0.006;
-// Instructions of a baseline x86-64 processor, fitted to counts by callgrind on ten contacts of 9 to 193
-// cells. Residuals are -23 to +7 %.
-
-/// For any contact.
-const BASE: f64 = 1e6;
-/// For each marker and cell.
-const PER_CELL: f64 = 306.0;
-/// For each marker and pair of unknowns.
-const PER_PAIR: f64 = 2.6;
-/// For each round of the search and triple of unknowns.
-const PER_TRIPLE: f64 = 2.7;
-/// A search that begins where the last one ended takes one to six rounds.
-const USUAL_ROUNDS: usize = 4;
 /// A pressure of Young's modulus compresses the layer by some tenths; any start serves.
 const START: Variances = Variances { pressure: 0.01, shear: 0.001, noise: 1.0 };
 /// Variance of shears over that of pressures at which a search does not go on from the last one. Without
@@ -202,16 +190,21 @@ impl ForceEstimator {
     /// last one; 0 after a frame without contact.
     #[must_use]
     pub fn work(&self) -> u64 {
-        let (size, cells) = (self.equations.size as f64, self.cells.cells.len() as f64);
-        let markers = self.equations.count as f64 / 3.0;
+        if self.variances.is_none() {
+            return 0;
+        }
         let images = if self.sides.is_some() { 5 } else { 1 };
         let of_gel = if self.compliance.is_some() { 1 } else { images };
         // Uneven pressures take two assemblies of a layer without images.
         let uneven = if self.cells.are_merged() { 0 } else { 2 };
-        let assemblies = (uneven + of_gel + (of_gel + images) * self.gel_errors.len()) as f64;
-        let assembly = markers * (assemblies * PER_CELL * cells + PER_PAIR * size * size);
-        let rounds = self.posterior.rounds.min(USUAL_ROUNDS) as f64 * PER_TRIPLE * size * size * size;
-        if self.variances.is_some() { (1e-3 * (BASE + assembly + rounds)) as u64 } else { 0 }
+        let size = Size {
+            markers: self.equations.count as f64 / 3.0,
+            cells: self.cells.cells.len(),
+            unknowns: self.equations.size,
+            assemblies: uneven + of_gel + (of_gel + images) * self.gel_errors.len(),
+            rounds: self.posterior.rounds,
+        };
+        size.work()
     }
 
     fn reserve(&mut self) {

@@ -29,6 +29,7 @@ mod moved;
 mod resultant;
 mod strain;
 mod uneven;
+mod work;
 mod wrench;
 
 pub use compliance::{Compliance, ComplianceError, ComplianceGel};

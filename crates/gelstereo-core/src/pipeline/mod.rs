@@ -30,12 +30,12 @@ pub use skin::{Skin, SkinDepth};
 
 use crate::contact::{self, ContactDetector, ContactRule, Decay, MarkerHeights, RestSurface, StereoMismatch};
 use crate::detect::DetectError;
-use crate::force::{Compliance, ForceError, ForceEstimator};
+use crate::force::{Compliance, ForceEstimator};
 use crate::image::GrayView;
 use crate::lattice::Topology;
 use crate::math::linalg::Symmetric;
 use crate::math::{DVec2, DVec3};
-use crate::params::{DiscBias, ForceMethod, ForceParams, Params, SlipMethod};
+use crate::params::{DiscBias, Params};
 use crate::rig::Rig;
 use crate::slip::SlipTracker;
 use crate::track::{MarkerState, Tracks};
@@ -123,17 +123,6 @@ impl Pipeline {
             frames: 0,
             resumes: false,
         })
-    }
-
-    /// With the gel's compliance matrix in place of the layer of `force`, from the next rest frame on.
-    ///
-    /// # Errors
-    /// [`PipelineError::Force`] if it is of another lattice or gel; what the settings do not show, the rest
-    /// frame does.
-    pub fn with_compliance(self, compliance: Option<Compliance>) -> Result<Self, PipelineError> {
-        let checked = compliance.as_ref().map(|compliance| compliance.check_settings(&self.params));
-        checked.transpose().map_err(PipelineError::Force)?;
-        Ok(Self { compliance, ..self })
     }
 
     /// The settings in use.
@@ -365,19 +354,9 @@ impl Pipeline {
         let depth = SkinDepth::of(&self.params.lattice);
         let skin = depth.map(|depth| Skin::new(&rest, self.topology, depth)).transpose();
         let skin = skin.map_err(PipelineError::Contact)?;
-        let (asked, surface) = (&self.params.force, skin.as_ref().map_or(&rest, Skin::rest));
-        let force = (asked.method != ForceMethod::None).then(|| self.estimator(asked, surface));
-        let force = force.transpose().map_err(PipelineError::Force)?;
-        let asked = &self.params.slip;
-        let slip = (asked.method != SlipMethod::None).then(|| SlipTracker::on(asked, surface, self.topology));
-        let slip = slip.transpose().map_err(PipelineError::Slip)?;
-        self.touching.reserve(rest.points_mm().len());
-        (self.skin, self.force, self.slip, self.rest) = (skin, force, slip, Some(rest));
+        self.feel_on(skin.as_ref().map_or(&rest, Skin::rest))?;
+        (self.skin, self.rest) = (skin, Some(rest));
         Ok(())
-    }
-
-    fn estimator(&self, asked: &ForceParams, surface: &RestSurface) -> Result<ForceEstimator, ForceError> {
-        ForceEstimator::on(asked, surface, self.topology, &self.covariance_mm2, self.compliance.clone())
     }
 
     /// Processes later frames. A pair without a point, or off this surface, is a mismatch, and the marker
