@@ -8,6 +8,7 @@ import trimesh
 from test_rectangular import COLS, ROWS, rest_mm
 
 import gelstereo as gs
+from gelstereo.force import PressedSkin, pressed_skin
 from outside import judge_skin
 
 RADIUS_MM = 4.5
@@ -137,3 +138,95 @@ def test_lists_that_do_not_fit_are_refused() -> None:
         gs.skin_over(rest, points_mm, noise, cols=COLS, depth_mm=-1.0)
     with pytest.raises(gs.ParamsError, match=r"lattice\.depth_mm is 101; valid is 0 to 100 mm"):
         gs.Params().replace({"lattice.depth_mm": 101.0})
+
+
+def test_pressure_compresses_the_skin_of_solved_gels() -> None:
+    """Neither gel of this half is very compressible; docs/outside.md has others."""
+    found: dict[str, list[np.ndarray]] = {"constant": [], "pressed": []}
+    for each in judge_skin.prints("w"):
+        if each.depth_mm == 0.2:
+            for name, points_mm in (
+                ("constant", judge_skin.skins(each)["skin"]),
+                ("pressed", judge_skin.under_pressure(each)),
+            ):
+                found[name].append(each.error_mm(points_mm)[inner(each)])
+    rms_um = {name: 1e3 * np.sqrt(np.mean(np.concatenate(off) ** 2)) for name, off in found.items()}
+    assert rms_um["pressed"] < 4.0
+    assert rms_um["pressed"] < 0.8 * rms_um["constant"]
+
+
+def stretched(by: float) -> tuple[gs.RestSurface, np.ndarray, np.ndarray]:
+    """A print that is stretched evenly to both sides."""
+    points_mm = rest_mm((1.0, 1.0))
+    return gs.RestSurface(points_mm), points_mm * [by, by, 1.0], np.zeros((ROWS * COLS, 3, 3))
+
+
+@pytest.mark.parametrize("poisson_ratio", [0.3, 0.45, 0.49])
+@pytest.mark.parametrize("pressure", [0.0, 0.2, 1.5])
+@pytest.mark.parametrize("by", [0.95, 1.0, 1.2])
+def test_an_evenly_stretched_gel_is_in_equilibrium(poisson_ratio: float, pressure: float, by: float) -> None:
+    rest, points_mm, nothing = stretched(by)
+    skin, _ = pressed_skin(
+        rest,
+        points_mm,
+        nothing,
+        np.full(len(points_mm), pressure),
+        cols=COLS,
+        depth_mm=0.5,
+        thickness_mm=4.0,
+        poisson_ratio=poisson_ratio,
+    )
+    distances = np.linalg.norm(skin - points_mm, axis=1)
+    assert np.ptp(distances) < 1e-9
+    shear, bulk = 0.5 / (1.0 + poisson_ratio), 1.0 / (3.0 * (1.0 - 2.0 * poisson_ratio))
+
+    def energy(across: float) -> float:
+        volume = by**2 * across
+        invariant = volume ** (-2.0 / 3.0) * (2.0 * by**2 + across**2)
+        return float(0.5 * shear * (invariant - 3.0) + 0.25 * bulk * (volume**2 - 1.0 - 2.0 * np.log(volume)))
+
+    across, step = distances[0] / 0.5, 1e-6
+    stress = (energy(across + step) - energy(across - step)) / (2.0 * step) / by**2
+    assert stress == pytest.approx(-pressure, abs=1e-6)
+
+
+def test_an_incompressible_gel_keeps_its_volume_under_pressure() -> None:
+    rest, points_mm, nothing = stretched(1.1)
+    law = {"cols": COLS, "depth_mm": 0.5}
+    pressed, covariance = pressed_skin(
+        rest, points_mm, nothing, np.full(len(points_mm), 2.0), thickness_mm=4.0, poisson_ratio=0.5, **law
+    )
+    constant, stated = gs.skin_over(rest, points_mm, nothing, **law)
+    np.testing.assert_allclose(pressed, constant, atol=1e-9)
+    np.testing.assert_array_equal(covariance, stated)
+    on_skin, _ = pressed_skin(
+        rest,
+        points_mm,
+        nothing,
+        np.zeros(len(points_mm)),
+        cols=COLS,
+        depth_mm=0.0,
+        thickness_mm=4.0,
+        poisson_ratio=0.4,
+    )
+    np.testing.assert_array_equal(on_skin, points_mm)
+
+
+def test_settings_without_a_layer_or_pressure_are_refused() -> None:
+    rest, points_mm, nothing = stretched(1.0)
+    law = {"cols": COLS, "thickness_mm": 4.0, "poisson_ratio": 0.45}
+    with pytest.raises(ValueError, match=r"depth_mm is 4\.0; valid is 0 to below the thickness"):
+        pressed_skin(rest, points_mm, nothing, np.zeros(len(points_mm)), depth_mm=4.0, **law)
+    with pytest.raises(ValueError, match=r"poisson_ratio is 0\.6"):
+        pressed_skin(
+            rest, points_mm, nothing, np.zeros(len(points_mm)), depth_mm=0.4, **{**law, "poisson_ratio": 0.6}
+        )
+    for pressure in (np.zeros(3), np.full(len(points_mm), np.nan)):
+        with pytest.raises(ValueError, match="one finite number for each of 195 markers"):
+            pressed_skin(rest, points_mm, nothing, pressure, depth_mm=0.4, **law)
+    with pytest.raises(ValueError, match=r'force\.method is "none"; valid are "ridge" and "bounded"'):
+        PressedSkin(rest, gs.Params(), cols=COLS, covariance_mm2=nothing)
+    force = {"method": "ridge", "thickness_mm": 3.0, "young_kpa": 1.0}
+    deep = gs.Params().replace({"lattice.depth_mm": 3.0}, force=force)
+    with pytest.raises(ValueError, match=r"lattice\.depth_mm is 3.0; valid is below force\.thickness_mm"):
+        PressedSkin(rest, deep, cols=COLS, covariance_mm2=np.tile(1e-6 * np.eye(3), (len(points_mm), 1, 1)))

@@ -42,6 +42,8 @@ def test_a_plate_resists_strain_and_curvature_alone() -> None:
     strain, area = 0.01, (SHAPE[0] - 1) * (SHAPE[1] - 1)
     pulled = motion(strain * COL, -0.5 * strain * ROW, 0.0)
     assert 0.5 * pulled @ stretching(SHAPE) @ pulled == pytest.approx(0.5 * strain**2 * area)
+    sheared = motion(strain * ROW, 0.0, 0.0)
+    assert sheared @ stretching(SHAPE) @ sheared == pytest.approx(strain**2 * area / 3.0)
     # A parabola with a curvature of 2 along the columns, at five rows within and in every column.
     bent = motion(0.0, 0.0, ROW**2)
     assert bent @ bending(SHAPE) @ bent == pytest.approx(4.0 * (SHAPE[0] - 2) * SHAPE[1])

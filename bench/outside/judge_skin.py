@@ -1,8 +1,9 @@
 """The skin over prints that lie below it: `python -m outside.judge_skin [--half w] [--learn]`.
 
 Layers inside gels that were solved by finite elements are taken for prints. `gelstereo.skin_over` gives the
-skin over their markers; its distance from the ball is the error. Beside it stand the skin at constant
-thickness and the markers themselves. With `--learn`, the depth of the print is learned under the largest ball
+skin over their markers, and `gelstereo.force.PressedSkin` the skin that allows for the contact's pressure;
+its distance from the ball is the error. Beside them stand the skin at constant thickness and the markers
+themselves. With `--learn`, the depth of the print is learned under the largest ball
 of a gel, and the skin is judged under the others.
 """
 
@@ -13,14 +14,19 @@ import json
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 import gelstereo
+from gelstereo.force import PressedSkin
 from gelstereo.setup.ball import BallPress, PrintDepth, print_depth
 
-from .skin import ALONG_MM, DATA, DEPTHS_MM
+from .contacts import table
+from .skin import ALONG_MM, DATA, DEPTHS_MM, FURTHER
 
 Array = npt.NDArray[np.float64]
 
@@ -28,6 +34,8 @@ Array = npt.NDArray[np.float64]
 PITCH_MM = 0.85
 OFFSETS_MM = ((0.0, 0.0), (0.21, -0.13), (0.4, 0.3))
 SIDE = 15
+#: Standard deviations that the estimate of forces takes for the markers, as of docs/force.md.
+NOISE_MM = (0.0015, 0.0015, 0.005)
 #: Rings of a contact, in shares of its radius.
 RINGS = {"inner": (0.0, 0.7), "edge": (0.7, 0.95)}
 
@@ -42,6 +50,7 @@ class Print:
     ball_mm: Array
     radius_mm: float
     touching_mm: float
+    gel: str
 
     @property
     def away_mm(self) -> Array:
@@ -53,9 +62,9 @@ class Print:
         return np.asarray(np.linalg.norm(points_mm - self.ball_mm, axis=1) - self.radius_mm)
 
 
-def prints(half: str | None = None) -> Iterator[Print]:
-    """All prints of a half, or of both."""
-    for path in sorted(DATA.glob("*.npz")):
+def prints(half: str | None = None, folder: Path = DATA) -> Iterator[Print]:
+    """All prints of a half, or of both; or of further gels in another folder."""
+    for path in sorted(folder.glob("*.npz")):
         with np.load(path) as file:
             meta, touching, motion = json.loads(str(file["meta"])), file["touching_mm"], file["motion_mm"]
         if half not in (None, meta["half"]):
@@ -65,7 +74,15 @@ def prints(half: str | None = None) -> Iterator[Print]:
             for level, depth_mm in enumerate(DEPTHS_MM[1:], start=1):
                 for offset in OFFSETS_MM:
                     rest, points = _moved(motion[stage, level], offset, meta["thickness_mm"] - depth_mm)
-                    yield Print(rest, points, depth_mm, ball_mm, meta["radius_mm"], float(touching[stage]))
+                    yield Print(
+                        rest,
+                        points,
+                        depth_mm,
+                        ball_mm,
+                        meta["radius_mm"],
+                        float(touching[stage]),
+                        meta["gel"],
+                    )
 
 
 def _moved(motion_mm: Array, offset: tuple[float, float], z_mm: float) -> tuple[Array, Array]:
@@ -89,6 +106,29 @@ def skins(each: Print) -> dict[str, Array]:
         "constant thickness": each.points_mm + each.depth_mm * toward,
         "markers": each.points_mm,
     }
+
+
+@cache
+def gels() -> dict[str, Any]:
+    """Thickness and Poisson's ratio of the gels."""
+    return {**table()["gels"], **FURTHER}
+
+
+def under_pressure(each: Print) -> Array:
+    """The skin that allows for the pressure; the gel's thickness and Poisson's ratio are known."""
+    gel = gels()[each.gel]
+    force = {
+        "method": "bounded",
+        "thickness_mm": gel["thickness_mm"],
+        "poisson_ratio": gel["poisson_ratio"],
+        # Pressures over it do not depend on it.
+        "young_kpa": 1.0,
+    }
+    params = gelstereo.Params().replace({"lattice.depth_mm": each.depth_mm}, force=force)
+    noise = np.tile(np.diag(np.square(NOISE_MM)), (len(each.rest_mm), 1, 1))
+    rest = gelstereo.RestSurface(each.rest_mm)
+    estimator = PressedSkin(rest, params, cols=SIDE, covariance_mm2=noise)
+    return estimator.run(each.points_mm, noise, each.away_mm < each.touching_mm)[0]
 
 
 def by_press(half: str | None = None) -> dict[tuple[float, float, float], list[Print]]:
@@ -140,26 +180,28 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--half", choices=("w", "j"))
     parser.add_argument("--learn", action="store_true", help="learn the depth of the print from a ball")
+    parser.add_argument("--folder", type=Path, default=DATA, help="of `outside.skin --further`")
     arguments = parser.parse_args()
     if arguments.learn:
         print_learned(arguments.half)
         return
     errors: dict[tuple[float, str, str], list[Array]] = defaultdict(list)
-    for each in prints(arguments.half):
-        for name, points_mm in skins(each).items():
+    for each in prints(arguments.half, arguments.folder):
+        for name, points_mm in {**skins(each), "under pressure": under_pressure(each)}.items():
             off_um = 1e3 * each.error_mm(points_mm)
             for ring, (low, high) in RINGS.items():
                 inside = (low * each.touching_mm <= each.away_mm) & (each.away_mm < high * each.touching_mm)
                 errors[each.depth_mm, ring, name].append(off_um[inside])
     print(
-        "| depth, mm | ring | markers | skin, mean / rms, um | constant thickness | the markers themselves |"
+        "| depth, mm | ring | markers | skin, mean / rms, um | under pressure | constant thickness | the "
+        "markers themselves |"
     )
-    print("|---|---|---|---|---|---|")
+    print("|---|---|---|---|---|---|---|")
     for depth_mm in DEPTHS_MM[1:]:
         for ring in RINGS:
             found = {
                 name: np.concatenate(errors[depth_mm, ring, name])
-                for name in ("skin", "constant thickness", "markers")
+                for name in ("skin", "under pressure", "constant thickness", "markers")
             }
             cells = [f"{off.mean():.1f} / {np.sqrt(np.mean(off**2)):.1f}" for off in found.values()]
             print(f"| {depth_mm} | {ring} | {len(found['skin'])} | {' | '.join(cells)} |")

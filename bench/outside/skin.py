@@ -1,7 +1,8 @@
-"""Motion inside gels under balls, below the skin: `python -m outside.skin [--check]`.
+"""Motion inside gels under balls, below the skin: `python -m outside.skin [--check] [--further FOLDER]`.
 
 Each file of data/skin has the stages of one ball on one gel: the motion of the skin and of layers below it,
-by the distance from the axis. `python -m outside.judge_skin` takes these layers for prints.
+by the distance from the axis. `python -m outside.judge_skin` takes these layers for prints. `--further`
+solves more gels for development, into another folder.
 """
 
 from __future__ import annotations
@@ -24,6 +25,13 @@ DATA = Path(__file__).parent / "data" / "skin"
 DEPTHS_MM = (0.0, 0.2, 0.4, 0.8)
 #: Radii of the balls of each half; no radius is in both.
 RADII_MM = {"w": (2.0, 3.0, 4.5, 7.0), "j": (2.5, 3.5, 5.5, 8.0)}
+#: Gels for development that are as compressible as those of half j, and their balls; they are not stored.
+FURTHER = {
+    "e": {"half": "further", "thickness_mm": 3.5, "poisson_ratio": 0.45, "friction": 0.5},
+    "f": {"half": "further", "thickness_mm": 2.5, "poisson_ratio": 0.46, "friction": 0.5},
+    "g": {"half": "further", "thickness_mm": 4.5, "poisson_ratio": 0.46, "friction": 0.4},
+}
+FURTHER_RADII_MM = (2.2, 4.0, 6.0)
 #: Shares of a ball's last depth.
 SHARES = (0.25, 0.65, 1.0)
 #: Where motion is stored.
@@ -59,10 +67,12 @@ def main() -> None:
     """Solve what data/skin does not have yet."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--check", action="store_true", help="only list what is missing")
+    parser.add_argument("--further", type=Path, help="solve more gels, into this folder")
     arguments = parser.parse_args()
-    for name, gel in contacts.table()["gels"].items():
-        for radius_mm in RADII_MM[gel["half"]]:
-            path = DATA / f"{name}_{radius_mm}.npz"
+    folder = arguments.further or DATA
+    for name, gel in (FURTHER if arguments.further else contacts.table()["gels"]).items():
+        for radius_mm in RADII_MM.get(gel["half"], FURTHER_RADII_MM):
+            path = folder / f"{name}_{radius_mm}.npz"
             if path.exists():
                 continue
             if arguments.check:
@@ -71,7 +81,7 @@ def main() -> None:
             depths_mm, touching_mm, motion_mm = solve(gel, radius_mm)
             meta = {"half": gel["half"], "gel": name, "radius_mm": radius_mm, "depths_mm": depths_mm}
             meta["thickness_mm"] = gel["thickness_mm"]
-            DATA.mkdir(parents=True, exist_ok=True)
+            folder.mkdir(parents=True, exist_ok=True)
             np.savez_compressed(
                 path,
                 meta=json.dumps(meta),
