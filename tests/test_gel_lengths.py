@@ -11,9 +11,9 @@ import pytest
 import gelstereo as gs
 from gelstereo.calibrate.board_names import BoardKind
 from gelstereo.setup import gel, law
-from gelstereo.setup.ball import BallPress, print_depth
+from gelstereo.setup.ball import SHAPE_SHARE, BallPress, print_depth
 from gelstereo.setup.plan import Plan, Views
-from outside import images, judge_skin
+from outside import images, judge_skin, shape
 
 #: Pitch of the path-traced sensor a.
 PITCH_MM = 0.85
@@ -102,3 +102,14 @@ def test_the_lengths_of_a_path_traced_sensor(tmp_path: Path) -> None:
     for name in law.ASSUMED:
         stem, _, unit = name.partition("_mm")
         assert found[f"{stem}_sigma" + ("_mm" + unit if "_mm" in name else "")] > 0.0
+
+
+@pytest.mark.parametrize("depth_mm", [0.2, 0.4, 0.8])
+def test_the_laws_error_explains_that_of_a_learned_depth(depth_mm: float) -> None:
+    """To first order, which shows how little the shape tells: docs/outside.md."""
+    presses = judge_skin.by_press("w")[4.0, depth_mm, 7.0]
+    found, it = judge_skin.learned(presses), shape.told(presses)
+    assert found is not None and it is not None
+    assert SHAPE_SHARE * found.depth_mm - depth_mm == pytest.approx(it.error_mm, abs=0.01)
+    # A hundred micrometres of depth change the shape by a few.
+    assert 0.1 * it.signal < 0.005

@@ -90,7 +90,7 @@ def print_depth(
     PrintDepth or None
         None where fewer than 20 markers lie well inside the contacts.
     """
-    inner = [(press, _inner(rest, press)) for press in presses]
+    inner = [(press, inner_markers(rest, press)) for press in presses]
     used = [(press, inside) for press, inside in inner if inside.sum() >= MIN_OF_PRESS]
     markers = sum(int(inside.sum()) for _, inside in used)
     if markers < MIN_MARKERS:
@@ -115,7 +115,7 @@ def print_depth(
     return PrintDepth(depth_mm, sigma_mm, float(np.sqrt(here / markers)), markers)
 
 
-def _inner(rest: RestSurface, press: BallPress) -> npt.NDArray[np.bool_]:
+def inner_markers(rest: RestSurface, press: BallPress) -> npt.NDArray[np.bool_]:
     """Markers well inside a contact, by their places at rest."""
     if not press.touching.any():
         return press.touching
