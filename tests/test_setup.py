@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -11,7 +13,8 @@ from own_sensor import GEL, LAYERS, PEG, PEG_MM, PEG_RAD, press, true_rig, write
 
 import gelstereo as gs
 from gelstereo.cli.main import main
-from gelstereo.setup import Plan, PlanError, Step, load_sensor, set_up
+from gelstereo.setup import Plan, PlanError, Step, law, load_sensor, set_up
+from gelstereo.setup.layers import over_plate_sigma_mm
 from gelstereo.setup.plan import EXAMPLE
 from gelstereo.setup.sensor import SensorFileError
 
@@ -93,6 +96,62 @@ def test_a_repeated_setup_runs_only_what_has_changed(steps: list[Step], images: 
     assert [line for line in lines if line.endswith("...")] == ["print ..."]
 
 
+def test_a_measured_thickness_tells_the_depth_of_the_print(images: Path, tmp_path: Path) -> None:
+    """The print is 5 mm from the plate."""
+    plan = EXAMPLE.replace(
+        "# [gel]\n# thickness_mm = 4.0\n# thickness_", "[gel]\nthickness_mm = 5.4\nthickness_"
+    )
+    (images / "measured.toml").write_text(plan)
+    found = {step.name: step for step in set_up(Plan.load(images / "measured.toml"), tmp_path / "out")}
+    gel = found["presses"].values["gel"]
+    assert {"depth_mm", "thickness_mm"} <= set(gel["learned"])
+    assert gel["thickness_mm"] == 5.4 and gel["thickness_sigma_mm"] == 0.02
+    assert abs(gel["depth_mm"] - 0.4) < 3 * gel["depth_sigma_mm"]
+    # Of that, the plate's own thickness is 0.05 mm.
+    assert 0.03 < gel["depth_sigma_mm"] < 0.1
+    lattice = load_sensor(tmp_path / "out" / "sensor.toml").params.to_dict()["lattice"]
+    assert (lattice["depth_mm"], lattice["depth_sigma_mm"]) == (gel["depth_mm"], gel["depth_sigma_mm"])
+
+
+@pytest.mark.parametrize("name", ["gap_mm", "gel_index", "plate_0_thickness_mm", "plate_0_index"])
+def test_an_error_of_the_layers_moves_the_print_as_stated(name: str) -> None:
+    rig, step = true_rig(), 1e-3
+    layers = rig.layers
+    assert layers is not None
+    print_mm = np.array([[4.0, 0.0, GEL["surface_mm"]]])
+    changed = copy.deepcopy(layers)
+    held, key = (changed["plates"][0], name[8:]) if name.startswith("plate_0") else (changed, name)
+    held[key] += step
+    params = gs.Params.preset("balanced")
+    found_mm = gs.triangulate(rig.with_layers(changed), *rig.project(print_mm), params)
+    moved = found_mm[0, 2] - print_mm[0, 2]
+    moved -= step * (name in ("gap_mm", "plate_0_thickness_mm"))
+    pose = np.eye(4)
+    pose[:3, 3] = print_mm[0]
+    found = SimpleNamespace(
+        values={name: held[key]}, covariance=np.array([[step**2]]), rig=rig, t_sensor_lattice=pose
+    )
+    assert over_plate_sigma_mm(found) == pytest.approx(abs(moved), rel=0.1)
+
+
+def test_the_print_is_below_a_skin_whose_depth_is_given() -> None:
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(4.0), np.arange(4.0)))
+    skin = gs.RestSurface(np.column_stack([x, y, np.full(16, GEL["surface_mm"] + 0.4)]))
+    assert law.over_plate(true_rig(), skin, 0.05, 0.4) == pytest.approx((5.0, 0.05))
+    given = law.GelLength("depth_mm", 0.4, 0.04, False, "given")
+    assert law.thickness_of((5.0, 0.03), given).value == pytest.approx(5.4)
+
+
+def test_a_print_beyond_the_measured_thickness_is_doubted() -> None:
+    depth, thickness = law.by_thickness((5.0, 0.05), (4.0, 0.02))
+    assert not depth.learned and "1.00 mm beyond the gel's thickness" in depth.why
+    assert (thickness.value, thickness.sigma, thickness.learned) == (4.0, 0.02, True)
+    within, _ = law.by_thickness((5.0, 0.04), (4.95, 0.03))
+    assert within.learned and within.value == 0.0 and within.sigma == pytest.approx(0.05)
+    unknown, _ = law.by_thickness(None, (4.0, 0.02))
+    assert not unknown.learned and "give [layers]" in unknown.why
+
+
 def test_a_wrong_pitch_and_a_short_rest_are_doubted(images: Path, tmp_path: Path) -> None:
     text = EXAMPLE.replace("pitch_mm = 0.8 ", "pitch_mm = 0.84 ").replace("left/*", "left/0000")
     (images / "wrong.toml").write_text(text.replace("right/*", "right/0000").partition("[[boards]]")[0])
@@ -113,6 +172,9 @@ def test_a_wrong_pitch_and_a_short_rest_are_doubted(images: Path, tmp_path: Path
         (("chessboard/left*", "nothing/left*"), r"left in \[cameras\]: .*nothing"),
         (("chessboard/left*.png", "gel/board_0.8_left.png"), "has 1 left and 12 right images"),
         (('preset = "balanced"', 'preset = "best"'), "preset is 'best'; valid are paper"),
+        (("# [gel]", "[gel]\nthick_mm = 4.0"), r"\[gel\] has an unknown key 'thick_mm'"),
+        (("# [gel]", "[gel]\nthickness_mm = 4.0"), r"thickness_sigma_mm in \[gel\] is None"),
+        ((EXAMPLE.partition("# A part pressed")[2], "\n[gel]\nthickness_mm = 4.0"), r"give \[presses\] too"),
     ],
 )
 def test_a_plan_that_is_not_valid_is_named(images: Path, change: tuple[str, str], message: str) -> None:

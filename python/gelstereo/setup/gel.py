@@ -107,7 +107,9 @@ def rest(plan: Plan, rig: Rig, settings: Mapping[str, Any]) -> Step:
     return Step("rest", "Gel at rest", tuple(figures), tuple(doubts), values={"gel": gel})
 
 
-def presses(plan: Plan, rig: Rig, settings: Mapping[str, Any], gap_sigma_mm: float | None = None) -> Step:
+def presses(
+    plan: Plan, rig: Rig, settings: Mapping[str, Any], over_plate_sigma_mm: float | None = None
+) -> Step:
     """The gel's own lengths, with their uncertainty, and what these presses do not tell."""
     if plan.presses is None:
         raise ValueError("the plan has no presses")
@@ -147,7 +149,7 @@ def presses(plan: Plan, rig: Rig, settings: Mapping[str, Any], gap_sigma_mm: flo
         if decay[1] > MAX_DECAY_SIGMA * decay[0]:
             doubts.append("the presses hardly determine the decay length: press more, and deeper")
         length = law.GelLength("decay_mm", decay[0], decay[1], True, "heights beside the contacts")
-    lengths = [length, *_lengths(plan, pipeline, pressed, images, gap_sigma_mm)]
+    lengths = [length, *_lengths(plan, pipeline, pressed, images, over_plate_sigma_mm)]
     figures += [
         Figure(_NAMES[each.name], str(each), each.why if each.learned else f"assumed: {each.why}")
         for each in lengths
@@ -161,7 +163,7 @@ def presses(plan: Plan, rig: Rig, settings: Mapping[str, Any], gap_sigma_mm: flo
 
 
 def _lengths(
-    plan: Plan, pipeline: Pipeline, pressed: list[Frame], images: list[Any], gap_sigma_mm: float | None
+    plan: Plan, pipeline: Pipeline, pressed: list[Frame], images: list[Any], over_plate_sigma_mm: float | None
 ) -> list[law.GelLength]:
     """All lengths but the decay."""
     rest, rig = pipeline.rest, pipeline.rig
@@ -170,8 +172,13 @@ def _lengths(
         return [law.GelLength.assumed(name, why) for name in law.ASSUMED if name != "decay_mm"]
     params = pipeline.params
     given_mm = float(params.to_dict()["lattice"]["depth_mm"])
-    depth = law.depth_of(rest, pressed, pressed[0].cols, plan.ball_radius_mm, given_mm)
-    thickness = law.thickness_of(rig, rest, gap_sigma_mm, depth)
+    # Points are those of the skin where a depth is given.
+    print_mm = law.over_plate(rig, rest, over_plate_sigma_mm, given_mm)
+    if plan.thickness_mm is not None and given_mm == 0.0:
+        depth, thickness = law.by_thickness(print_mm, plan.thickness_mm)
+    else:
+        depth = law.depth_of(rest, pressed, pressed[0].cols, plan.ball_radius_mm, given_mm)
+        thickness = law.thickness_of(print_mm, depth)
     shoulder = law.shoulder_of(rest, pressed, float(np.mean(plan.pitch_mm)))
     return [shoulder, depth, thickness, *law.slides(images, rig, params, thickness)]
 

@@ -14,7 +14,17 @@ from gelstereo._native import Frame, Params, Pipeline, PitchWarning, RestSurface
 from gelstereo.setup.ball import BallPress, print_depth
 from gelstereo.states import MarkerState, SlipStatus
 
-__all__ = ["ASSUMED", "GelLength", "depth_of", "friction_of", "shoulder_of", "slides", "thickness_of"]
+__all__ = [
+    "ASSUMED",
+    "GelLength",
+    "by_thickness",
+    "depth_of",
+    "friction_of",
+    "over_plate",
+    "shoulder_of",
+    "slides",
+    "thickness_of",
+]
 
 Array = npt.NDArray[np.float64]
 
@@ -103,19 +113,49 @@ def depth_of(
     )
 
 
-def thickness_of(rig: Rig, rest: RestSurface, gap_sigma_mm: float | None, depth: GelLength) -> GelLength:
-    """Thickness of the gel, from the plate that it is bonded to, to its skin."""
+def over_plate(
+    rig: Rig, rest: RestSurface, sigma_mm: float | None, depth_mm: float = 0.0
+) -> tuple[float, float] | None:
+    """Distance of the print from the plate that the gel is bonded to, and its standard deviation.
+
+    `rest` is the skin, where it lies so deep below it. None without layers. Layers that were not calibrated
+    have a standard deviation of a twentieth of the distance.
+    """
     layers = rig.layers
     if layers is None:
-        return GelLength.assumed("thickness_mm", "give [layers]: it is what lies between plate and print")
+        return None
     normal = np.asarray(layers["normal"], np.float64)
     plates_mm = sum(float(plate["thickness_mm"]) for plate in layers["plates"])
-    print_mm = float(np.mean(np.asarray(rest.points_mm) @ normal))
-    value = print_mm - float(layers["gap_mm"]) - plates_mm + depth.value
+    rest_mm = float(np.mean(np.asarray(rest.points_mm) @ normal))
+    value = rest_mm - float(layers["gap_mm"]) - plates_mm - depth_mm
+    return value, sigma_mm if sigma_mm is not None else 0.05 * abs(value)
+
+
+def thickness_of(print_mm: tuple[float, float] | None, depth: GelLength) -> GelLength:
+    """Thickness of the gel, from the plate to its skin, by the print's distance from the plate."""
+    if print_mm is None:
+        return GelLength.assumed("thickness_mm", "give [layers]: it is what lies between plate and print")
+    value = print_mm[0] + depth.value
     if value <= 0.0:
         return GelLength.assumed("thickness_mm", "the print lies before the plate: check [layers]")
-    sigma = float(np.hypot(gap_sigma_mm if gap_sigma_mm is not None else 0.05 * value, depth.sigma))
+    sigma = float(np.hypot(print_mm[1], depth.sigma))
     return GelLength("thickness_mm", value, sigma, True, "distance of print and plate")
+
+
+def by_thickness(
+    print_mm: tuple[float, float] | None, thickness_mm: tuple[float, float]
+) -> tuple[GelLength, GelLength]:
+    """Depth of the print, and thickness of the gel, by its measured thickness and standard deviation."""
+    thickness = GelLength("thickness_mm", *thickness_mm, True, "measured")
+    if print_mm is None:
+        return GelLength.assumed("depth_mm", "give [layers]: the depth is counted from the plate"), thickness
+    value, sigma = thickness.value - print_mm[0], float(np.hypot(thickness.sigma, print_mm[1]))
+    if value < -3.0 * sigma:
+        why = f"the print lies {-value:.2f} mm beyond the gel's thickness: check [gel] and [layers]"
+        return GelLength.assumed("depth_mm", why), thickness
+    return GelLength(
+        "depth_mm", max(value, 0.0), sigma, True, "thickness less the print's distance"
+    ), thickness
 
 
 def shoulder_of(rest: RestSurface, frames: Sequence[Frame], pitch_mm: float) -> GelLength:

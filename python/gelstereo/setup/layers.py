@@ -6,13 +6,15 @@ import warnings
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from gelstereo._native import Frame, Params, Pipeline, PitchWarning, Rig
-from gelstereo.calibrate import SeatedFrame, calibrate_layers
+from gelstereo.calibrate import LayersCalibration, SeatedFrame, calibrate_layers
 from gelstereo.cli.files import read_color_image
 from gelstereo.setup.plan import Plan
 from gelstereo.setup.step import Figure, Step
 
-__all__ = ["fit", "params_of"]
+__all__ = ["fit", "over_plate_sigma_mm", "params_of"]
 
 
 def params_of(plan: Plan, settings: Mapping[str, Any]) -> Params:
@@ -60,7 +62,26 @@ def fit(plan: Plan, rig: Rig, settings: Mapping[str, Any]) -> Step:
         Figure("residual", f"{found.rms_px:.3f} px rms"),
     ]
     doubts = tuple(str(doubt) for doubt in found.doubts)
-    sigma = {name: float(value) for name, value in found.sigma.items()}
-    return Step(
-        "layers", "Layers", tuple(figures), doubts, values={"rig": found.rig.to_toml(), "sigma": sigma}
-    )
+    sigma_mm = over_plate_sigma_mm(found)
+    figures.append(Figure("print's distance from the plate", f"+- {sigma_mm:.3f} mm"))
+    values = {"rig": found.rig.to_toml(), "over_plate_sigma_mm": sigma_mm}
+    return Step("layers", "Layers", tuple(figures), doubts, values=values)
+
+
+def over_plate_sigma_mm(found: LayersCalibration) -> float:
+    """Standard deviation of the print's distance from the plate.
+
+    The images fix the reduced distance gap + sum of (thickness / index) + distance / gel index, to first
+    order in the rays' angles.
+    """
+    values, layers = found.values, found.rig.layers
+    assert layers is not None
+    index, plates = float(layers["gel_index"]), layers["plates"]
+    lattice_mm = float(found.t_sensor_lattice[:3, 3] @ np.asarray(layers["normal"], np.float64))
+    distance_mm = lattice_mm - float(layers["gap_mm"]) - sum(float(each["thickness_mm"]) for each in plates)
+    slopes = {"gap_mm": -index, "gel_index": distance_mm / index}
+    for number, plate in enumerate(plates):
+        slopes[f"plate_{number}_thickness_mm"] = -index / float(plate["index"])
+        slopes[f"plate_{number}_index"] = index * float(plate["thickness_mm"]) / float(plate["index"]) ** 2
+    slope = np.array([slopes.get(name, 0.0) for name in values])
+    return float(np.sqrt(slope @ found.covariance @ slope))

@@ -67,6 +67,11 @@ right = "gel/board_1.8_right.png"
 left = "press/left/*.png"
 right = "press/right/*.png"
 # ball_radius_mm = 6.0
+
+# The gel by a caliper, from its plate to the skin. It tells the depth of the print better than a ball does.
+# [gel]
+# thickness_mm = 4.0
+# thickness_sigma_mm = 0.02
 """
 
 
@@ -111,6 +116,9 @@ class Plan:
         Images of presses, with frames at rest before them; ``None`` without any.
     ball_radius_mm
         Radius of the ball that is pressed; ``None`` for another part.
+    thickness_mm
+        Measured thickness of the gel, from its plate to the skin, and its standard deviation; ``None`` if it
+        is not known. It is read with the presses.
     params
         Settings that take precedence over what the steps find, as `Params.replace` takes them.
     """
@@ -125,6 +133,7 @@ class Plan:
     boards: tuple[tuple[float, Views], ...] = ()
     presses: Views | None = None
     ball_radius_mm: float | None = None
+    thickness_mm: tuple[float, float] | None = None
     params: Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod
@@ -140,7 +149,7 @@ class Plan:
         if not path.is_file():
             raise FileNotFoundError(2, "No such plan", str(path))
         tree = parse_toml(path.read_text(encoding="utf-8"))
-        known = {"preset", "cameras", "rest", "layers", "priors", "boards", "presses", "params"}
+        known = {"preset", "cameras", "rest", "layers", "priors", "boards", "presses", "gel", "params"}
         _refuse_unknown(tree, known, str(path))
         for name in ("cameras", "rest"):
             if name not in tree:
@@ -158,6 +167,11 @@ class Plan:
         presses = tree.get("presses")
         if presses is not None:
             _refuse_unknown(presses, {"left", "right", "ball_radius_mm"}, "[presses]")
+        gel = tree.get("gel")
+        if gel is not None:
+            _refuse_unknown(gel, {"thickness_mm", "thickness_sigma_mm"}, "[gel]")
+            if presses is None:
+                raise PlanError("[gel] is read with the presses; give [presses] too")
         priors = tree.get("priors", {})
         return cls(
             cameras=_views(folder, cameras, "[cameras]"),
@@ -175,6 +189,9 @@ class Plan:
             ball_radius_mm=_length(presses, "ball_radius_mm", "[presses]")
             if presses is not None and "ball_radius_mm" in presses
             else None,
+            thickness_mm=None
+            if gel is None
+            else (_length(gel, "thickness_mm", "[gel]"), _length(gel, "thickness_sigma_mm", "[gel]")),
             params=_settings(preset, tree.get("params", {})),
         )
 

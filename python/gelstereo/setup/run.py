@@ -70,14 +70,14 @@ def set_up(plan: Plan, output: str | Path, report: Callable[[str], None] = lambd
     facts = (plan.layers, plan.priors, [height_mm for height_mm, _ in plan.boards])
     found = run("layers", images, facts, lambda: layers.fit(plan, rig, settings))
     rig = Rig.from_toml(found.values["rig"])
-    gap_sigma_mm = found.values.get("sigma", {}).get("gap_mm")
+    over_plate_sigma_mm = found.values.get("over_plate_sigma_mm")
     values: dict[str, Any] = dict(run("rest", (), None, lambda: gel.rest(plan, rig, settings)).values["gel"])
     if plan.presses is not None:
         found = run(
             "presses",
             _files(plan.presses),
-            plan.ball_radius_mm,
-            lambda: gel.presses(plan, rig, settings, gap_sigma_mm),
+            (plan.ball_radius_mm, plan.thickness_mm),
+            lambda: gel.presses(plan, rig, settings, over_plate_sigma_mm),
         )
         values |= found.values["gel"]
         settings = {**settings, **learned_settings(values), **plan.params} if found.is_good else settings
