@@ -155,6 +155,28 @@ def test_pressure_compresses_the_skin_of_solved_gels() -> None:
     assert rms_um["pressed"] < 0.8 * rms_um["constant"]
 
 
+def test_the_skin_under_pressure_of_drawn_images_lies_on_the_ball() -> None:
+    frame, pipeline, ball_mm, radius_mm = press(0.2, 0.0)
+    assert pipeline.rest is not None
+    gel = judge_skin.gels()["a"]
+    force = {"method": "bounded", "young_kpa": 1.0}
+    force |= {name: gel[name] for name in ("thickness_mm", "poisson_ratio")}
+    deep = pipeline.params.replace({"lattice.depth_mm": 0.2}, force=force)
+    over = PressedSkin(pipeline.rest, deep, cols=frame.cols, covariance_mm2=frame.covariance_mm2)
+    skin, _ = over.run(frame.points_mm, frame.covariance_mm2, frame.patch)
+    constant, _ = gs.skin_over(
+        pipeline.rest, frame.points_mm, frame.covariance_mm2, cols=frame.cols, depth_mm=0.2
+    )
+    inside = np.linalg.norm((np.asarray(skin) - ball_mm)[:, :2], axis=1) < 1.5
+    assert inside.sum() >= 9
+
+    def rms_mm(points_mm: np.ndarray) -> float:
+        off = np.linalg.norm(points_mm - ball_mm, axis=1)[inside] - radius_mm
+        return float(np.sqrt(np.mean(off**2)))
+
+    assert rms_mm(skin) < 0.005 and rms_mm(skin) < 0.8 * rms_mm(np.asarray(constant))
+
+
 def stretched(by: float) -> tuple[gs.RestSurface, np.ndarray, np.ndarray]:
     """A print that is stretched evenly to both sides."""
     points_mm = rest_mm((1.0, 1.0))

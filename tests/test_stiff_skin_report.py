@@ -10,6 +10,7 @@ from gelstereo_bench.reports.free_sides import of_sides
 from gelstereo_bench.reports.physics import Gel, Press
 from gelstereo_bench.reports.smooth import Spline
 from gelstereo_bench.reports.stiff_skin import bending, compliance, predicted, stretching
+from outside import judge_plate
 
 SHAPE = (7, 6)
 ROW, COL = np.indices(SHAPE).astype(float)
@@ -57,3 +58,12 @@ def test_without_a_skin_the_layer_is_that_of_the_free_sides() -> None:
     press = Press(np.stack([0.05 * touches, 0.0 * depth, depth], axis=-1), touches, ~touches)
     layer = np.linalg.inv(compliance(gel, SHAPE, pitch_mm, rim_mm))
     np.testing.assert_allclose(predicted(layer, press), of_sides(press, gel, pitch_mm, rim_mm), atol=2e-3)
+
+
+def test_a_plate_describes_the_gel_over_a_deep_print_alone() -> None:
+    """On gels of one material, solved by finite elements: docs/simulator-physics.md."""
+    found = judge_plate.presses("w")
+    without, with_plate = judge_plate.left(found["a", 0.8], Gel(3.2, 0.48), (0.0, 0.8))
+    assert with_plate < 0.9 * without
+    without, with_plate = judge_plate.left(found["a", 0.0], Gel(4.0, 0.48), (0.0, 0.8))
+    assert with_plate > 1.2 * without
