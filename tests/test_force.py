@@ -170,6 +170,25 @@ def test_forces_of_gels_solved_by_finite_elements() -> None:
     assert 0.9 < np.mean([case.tilt_squared for case in found]) < 2.0
 
 
+def test_the_covariance_grows_by_the_stated_error_of_a_strained_gel() -> None:
+    rest = lattice()
+    far = np.hypot(*rest[:, :2].T)
+    into = 0.4 * np.exp(-((far / 1.5) ** 2))
+    moved = rest + np.column_stack([0.05 * into, 0.0 * into, -into])
+    covariance = np.tile(np.diag(SIGMA_MM**2), (len(rest), 1, 1))
+    found = []
+    for strain_sigma in (0.0, 0.2, 0.4):
+        made = estimator(rest, 3.0, 0.48, strain_sigma=strain_sigma)
+        found.append(made.run(moved, covariance, (far < 1.5).tolist())[1])
+    linear, usual, wide = (np.asarray(wrench.covariance)[:3, :3] for wrench in found)
+    force = np.asarray(found[0].force_n)
+    pressing, shear = np.array([0.0, 0.0, force[2]]), np.array([force[0], force[1], 0.0])
+    share = 0.2 * into.max() / 3.0
+    expected = share**2 * (np.outer(pressing, pressing) + np.outer(shear, shear))
+    np.testing.assert_allclose(usual - linear, expected, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(wide - linear, 4.0 * expected, rtol=1e-9, atol=1e-12)
+
+
 def test_torques_of_uneven_pressures_are_within_their_covariance(monkeypatch: pytest.MonkeyPatch) -> None:
     """Balls, plates and cylinders on a fine grid, with a fifth of the usual noise. The normalised squared
     error of the torque along the gel would be 18 if pressures were uniform on their cells.

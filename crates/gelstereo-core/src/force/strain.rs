@@ -6,14 +6,12 @@ use crate::math::{DVec3, sqrt};
 use crate::params::ForceParams;
 use crate::track::MarkerState;
 
-// The layer is no exact model of a gel. The shares below were chosen on the development half of the FEM
-// contacts of bench/outside (294 cases, neo-Hookean gels of finite width). With them, the mean normalised
-// squared error of the force is 2.0 to 2.9 of 3 for groups of contacts by strain. With 0.35, 0.2 and 0.01 it
-// is 0.8 to 1.1, with 0.25, 0.12 and 0.008 it is 1.5 to 2.0.
+// The layer is no exact model of a gel. `force.strain_sigma` and the share below were chosen on the
+// development half of the FEM contacts of bench/outside (294 cases, neo-Hookean gels of finite width). With
+// 0.2 and 0.1, and 0.006 for shears, the mean normalised squared error of the force is 2.0 to 2.9 of 3 for
+// groups of contacts by strain. With 0.35, 0.2 and 0.01 it is 0.8 to 1.1, with 0.25, 0.12 and 0.008 it is 1.5
+// to 2.0.
 
-/// Relative standard deviation of a load for each unit of strain, which is the deepest indentation over the
-/// thickness: gels stiffen with strain.
-const OF_STRAIN: f64 = 0.2;
 /// The rise of loads for each unit of strain with which the rms error of the pressing force is least on those
 /// gels, given their sides: 5.4 % with 0.26, 5.5 % with 0.2 and 0.3, and 7.2 % with 0. Without the sides, the
 /// layer is too stiff by about as much.
@@ -47,7 +45,7 @@ impl Strain {
     pub fn share(&self, params: &ForceParams, has_sides: bool) -> f64 {
         let missing = if has_sides { STIFFENING - params.stiffening } else { 0.0 };
         let strain = self.largest;
-        let (linear, few) = (OF_STRAIN * strain, OF_CELLS / f64::from(self.count.max(1)));
+        let (linear, few) = (params.strain_sigma * strain, OF_CELLS / f64::from(self.count.max(1)));
         sqrt(linear * linear + missing * missing * strain * strain + few * few)
     }
 }

@@ -55,6 +55,11 @@ pub struct ForceParams {
     /// neo-Hookean gel whose sides are known, by `rim_mm` or a compliance matrix, and whose modulus is
     /// that of gentle presses.
     pub stiffening: f64,
+    /// Relative standard deviation of the loads for each unit of strain, which is the deepest indentation
+    /// over the thickness, since a gel is no linear layer; for `ridge` and `bounded`. Valid: 0 to 10.
+    /// Default: `0.2`, of neo-Hookean gels solved by finite elements. Set it to 0 for a gel that is a linear
+    /// layer, as the simulator's.
+    pub strain_sigma: f64,
     /// Poisson's ratio of the gel. Valid: 0 to 0.5. Default: `0.48`, of soft silicone.
     /// Change it if it was measured.
     pub poisson_ratio: f64,
@@ -97,6 +102,7 @@ impl Default for ForceParams {
             young_kpa: None,
             young_sigma_kpa: 0.0,
             stiffening: 0.0,
+            strain_sigma: 0.2,
             poisson_ratio: 0.48,
             poisson_sigma: 0.0,
             friction: None,
@@ -124,6 +130,7 @@ impl ForceParams {
         number("force.young_kpa", self.young_kpa, 1e-3..=1e6, "0.001 to 1000000 kPa")?;
         number("force.young_sigma_kpa", Some(self.young_sigma_kpa), 0.0..=1e6, "0 to 1000000 kPa")?;
         number("force.stiffening", Some(self.stiffening), 0.0..=10.0, "0 to 10")?;
+        number("force.strain_sigma", Some(self.strain_sigma), 0.0..=10.0, "0 to 10")?;
         number("force.poisson_ratio", Some(self.poisson_ratio), 0.0..=0.5, "0 to 0.5")?;
         number("force.poisson_sigma", Some(self.poisson_sigma), 0.0..=0.5, "0 to 0.5")?;
         number("force.friction", self.friction, 0.0..=100.0, "0 to 100")?;
