@@ -303,6 +303,55 @@ fn false_alarms_keep_their_rate() {
     assert!((40..140).contains(&alarms), "{alarms} of 1000 frames");
 }
 
+/// Anchors are means of up to eight positions. A lag of 11 um is more than noise explains by such a mean,
+/// which is 9 um, and less than by one position, which is 12 um.
+#[test]
+fn averaged_anchors_show_less_slip() {
+    let (mut found, mut all) = (0, 0);
+    for seed in 0..20 {
+        let (mut tracker, mut contact) = (tracker(1.0), Contact::new(4.0, seed));
+        let lags: Vec<bool> = contact.stuck_mm.iter().map(|p| p.x > 2.0).collect();
+        for step in 0..9 {
+            contact.moves(&about_contact([0.0; 3], [0.02 * f64::from(step), 0.0, 0.0]), nothing);
+            contact.run(&mut tracker);
+        }
+        let lag = |i: usize| if lags[i] { DVec3::X * 0.011 } else { DVec3::ZERO };
+        contact.moves(&about_contact([0.0; 3], [0.2, 0.0, 0.0]), lag);
+        let (stick, _) = contact.run(&mut tracker);
+        assert!((0..stick.len()).all(|i| stick[i] != Stick::Slips || lags[i]));
+        let touching = (0..stick.len()).filter(|&i| lags[i] && contact.patch[i]);
+        all += touching.clone().count();
+        found += touching.filter(|&i| stick[i] == Stick::Slips).count();
+    }
+    // By one position it is a sixth.
+    assert!(10 * found > 4 * all, "{found} of {all}");
+}
+
+/// Patches hold free markers beside an edge. As the part presses deeper, or less deep, they stay behind and
+/// move sideways. They are free, and no slip.
+#[test]
+fn markers_that_do_not_go_as_deep_are_free() {
+    for (seed, deeper_mm) in [(8, 0.02), (9, -0.02)] {
+        let (mut tracker, mut contact) = (tracker(1.0), Contact::new(3.0, seed));
+        let is_free = |p: &DVec3| p.truncate().length() > 2.5;
+        let free: Vec<bool> = contact.stuck_mm.iter().map(is_free).collect();
+        let mut seen_free = 0;
+        for step in 0..15 {
+            let depth_mm = deeper_mm * f64::from(step);
+            let lag = |i: usize| if free[i] { DVec3::new(0.08, 0.0, -0.8) * depth_mm } else { DVec3::ZERO };
+            contact.moves(&about_contact([0.0; 3], [0.0, 0.0, -depth_mm]), lag);
+            let (stick, slip) = contact.run(&mut tracker);
+            assert!(
+                [SlipStatus::Unknown, SlipStatus::Stuck].contains(&slip.unwrap().status),
+                "{step} {stick:?}"
+            );
+            assert!((0..stick.len()).all(|i| free[i] || !contact.patch[i] || stick[i] != Stick::Free));
+            seen_free += (0..stick.len()).filter(|&i| contact.patch[i] && stick[i] == Stick::Free).count();
+        }
+        assert!(seen_free > 20, "{seen_free}");
+    }
+}
+
 /// Gross slip is reported until the part has left the gel, even if all markers rest.
 #[test]
 fn gross_slip_lasts_until_the_part_is_away() {

@@ -36,7 +36,7 @@ pub enum SlipStatus {
     Unknown = 0,
     /// No more markers slip than free ones beside an edge may explain: a fortieth.
     Stuck = 1,
-    /// More markers slip; the part is still held. Those beside the patch count as half of one.
+    /// More markers slip; the part is still held. Those beside the patch count as a third of one.
     Incipient = 2,
     /// Too few markers stick to hold the part. It lasts until the part leaves the gel: whether a sliding part
     /// comes to rest is not seen by markers that slip.
