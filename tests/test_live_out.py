@@ -193,10 +193,16 @@ def test_a_viewer_gets_schemas_and_messages_by_websocket(tmp_path) -> None:
     port = free_port()
     topics = {
         **RESULTS,
+        "/gelstereo/wrench": "geometry_msgs/msg/WrenchStamped",
+        "/gelstereo/slip": "std_msgs/msg/String",
         "/gelstereo/left/image": "sensor_msgs/msg/Image",
         "/gelstereo/right/image": "sensor_msgs/msg/Image",
     }
-    settings = f"sense.foxglove.port = {port}\n"
+    settings = (
+        f"sense.foxglove.port = {port}\n"
+        '[params.force]\nmethod = "ridge"\nthickness_mm = 5.0\nyoung_kpa = 100.0\n'
+        '[params.slip]\nmethod = "rigid"\n'
+    )
     with sensing(tmp_path, settings, "--publish", "foxglove"), viewer(port) as socket_:
         channels: dict[int, dict] = {}
         while len(channels) < len(topics):
@@ -227,6 +233,9 @@ def test_a_viewer_gets_schemas_and_messages_by_websocket(tmp_path) -> None:
     image = seen["/gelstereo/left/image"]
     assert (image.width, image.height, image.encoding) == (640, 480, "mono8")
     assert "touching" in json.loads(seen["/gelstereo/contact"].data)
+    assert "status" in json.loads(seen["/gelstereo/slip"].data)
+    force = seen["/gelstereo/wrench"].wrench.force
+    assert force.x**2 + force.y**2 + force.z**2 > 0.0
 
 
 def store_of(channel: dict):

@@ -15,11 +15,12 @@ pub use outlet::{Outlet, Overflow};
 pub use ros_names::{Node, TopicNames, attachment, topic_names};
 pub use type_hash::rihs01;
 
-use crate::config::SenseConfig;
+use crate::config::{Config, SenseConfig};
 use crate::recording::{MessageSink, Topic};
+use gelstereo_core::params::{ForceMethod, Params, SlipMethod};
 use std::time::Duration;
 
-/// Topics of sensing without a robot; images are added on request.
+/// Topics of sensing without a robot; force, slip and images are added on request.
 const RESULTS: [Topic; 6] =
     [Topic::Points, Topic::Frame, Topic::Pose, Topic::Stage, Topic::Capture, Topic::Contact];
 const IMAGES: [Topic; 2] = [Topic::LeftImage, Topic::RightImage];
@@ -111,12 +112,9 @@ impl Publisher {
     ///
     /// # Errors
     /// [`PublishError`].
-    pub fn open(protocol: Protocol, settings: &SenseConfig) -> Result<Self, PublishError> {
-        let images = match protocol {
-            Protocol::Zenoh => settings.zenoh.images,
-            Protocol::Foxglove => settings.foxglove.images,
-        };
-        let topics: Vec<Topic> = RESULTS.into_iter().chain(IMAGES.into_iter().filter(|_| images)).collect();
+    pub fn open(protocol: Protocol, config: &Config) -> Result<Self, PublishError> {
+        let settings = &config.sense;
+        let topics = topics(protocol, settings, &config.params);
         let Opened { address, send } = open(protocol, settings, &topics)?;
         let outlet = Outlet::spawn(protocol.name(), send)
             .map_err(|error| PublishError::Open { protocol, reason: error.to_string() })?;
@@ -161,6 +159,20 @@ impl MessageSink for Publisher {
     fn fault(&self) -> Option<String> {
         self.outlet.fault()
     }
+}
+
+/// Topics with these settings. Those that would stay silent are not listed.
+fn topics(protocol: Protocol, settings: &SenseConfig, params: &Params) -> Vec<Topic> {
+    let images = match protocol {
+        Protocol::Zenoh => settings.zenoh.images,
+        Protocol::Foxglove => settings.foxglove.images,
+    };
+    let felt = [
+        (Topic::Wrench, params.force.method != ForceMethod::None),
+        (Topic::Slip, params.slip.method != SlipMethod::None),
+    ];
+    let felt = felt.into_iter().filter_map(|(topic, is_on)| is_on.then_some(topic));
+    RESULTS.into_iter().chain(felt).chain(IMAGES.into_iter().filter(|_| images)).collect()
 }
 
 fn open(protocol: Protocol, settings: &SenseConfig, topics: &[Topic]) -> Result<Opened, PublishError> {

@@ -115,7 +115,7 @@ pub fn open_outputs(
 ) -> Result<Outputs, SenseError> {
     let mut outputs = Outputs::default();
     for &protocol in &listeners.protocols {
-        let publisher = Publisher::open(protocol, &config.sense).map_err(SenseError::Publish)?;
+        let publisher = Publisher::open(protocol, config).map_err(SenseError::Publish)?;
         outputs.publishers.push(publisher);
     }
     if let Some(path) = &listeners.recording {
