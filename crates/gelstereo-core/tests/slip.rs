@@ -323,7 +323,7 @@ fn averaged_anchors_show_less_slip() {
         all += touching.clone().count();
         found += touching.filter(|&i| stick[i] == Stick::Slips).count();
     }
-    // By one position it is a sixth.
+    // By one position it is a quarter.
     assert!(10 * found > 4 * all, "{found} of {all}");
 }
 

@@ -48,8 +48,8 @@ const UNSURE: f64 = 2.0 / 3.0;
 /// balls whose patch is known has an rms error of 0.070, 0.061, 0.060 and 0.060.
 const FRAMES: u8 = 8;
 /// Thousands of instructions of a baseline x86-64 processor for one marker in contact and frame, with those
-/// beside the patch: touch and the next frame take 8.3 together, by callgrind, for contacts of 37 markers.
-const PER_MARKER: u64 = 8;
+/// beside the patch: touch and the next frame take 8.9 together, by callgrind, for contacts of 37 markers.
+const PER_MARKER: u64 = 9;
 
 /// Why a marker counts as touching.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
