@@ -10,10 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import norm
 
 from gelstereo import Stick
+from gelstereo.extras import needs
 from gelstereo_bench.reports.slip import SIGMA_MM, Run, runs
+
+with needs(__name__):
+    from scipy.stats import norm
 
 __all__ = ["Floor", "floor", "main"]
 

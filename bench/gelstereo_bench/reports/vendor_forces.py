@@ -17,12 +17,15 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import spearmanr
 
 from gelstereo import ForceEstimator, Params, RestSurface
+from gelstereo.extras import needs
 from gelstereo.recordings import CloudRecording, load_pytac3d, pytac3d_example
 from gelstereo_bench.reports.markdown import replace_between, table
 from gelstereo_bench.reports.recordings import SALIENCY_MM
+
+with needs(__name__):
+    from scipy.stats import spearmanr
 
 __all__ = ["RECORDINGS", "Agreement", "agreement", "main"]
 
