@@ -4,13 +4,22 @@ from __future__ import annotations
 
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gelstereo import Params, RestSurface, SlipStatus, SlipTracker, pressure_saliency
+from gelstereo import (
+    MotionKind,
+    MotionTracker,
+    Params,
+    RestSurface,
+    SlipStatus,
+    SlipTracker,
+    pressure_saliency,
+)
 from gelstereo.recordings import (
     CloudRecording,
     RecordingError,
@@ -162,27 +171,34 @@ def test_both_fingers_of_a_grasp_touch_in_every_frame(sensor: str) -> None:
     assert all(len(found) >= 1 for found in touching(grasp))
 
 
-def slip_statuses(
-    sharpened: Sharpened, frames: range, strain_sigma_mm: float = 0.0, strain_share: float = 0.0
-) -> list[SlipStatus]:
-    """Slip of the frames with contact, with the noise of the rest frames; the patch is found from heights."""
+def run(tracker: SlipTracker | MotionTracker, sharpened: Sharpened, frames: range) -> list[Any]:
+    """Answers in the frames with contact, with the noise of the rest frames; the patch is from heights."""
     recording = sharpened.sharp
     rest, count = RestSurface(recording.rest_mm), len(recording.rest_mm)
-    slip = {"method": "rigid", "strain_sigma_mm": strain_sigma_mm, "strain_share": strain_share}
-    params = Params().replace(slip=slip)
-    tracker = SlipTracker(rest, params, cols=recording.cols)
     # Sharpening raises the noise to 1.4 times.
     sigma_mm = np.sqrt(2.0) * np.asarray(sharpened.noise_mm)
     covariance, variance = np.tile(np.diag(sigma_mm**2), (count, 1, 1)), np.full(count, sigma_mm[2] ** 2)
-    decay_mm = params.to_dict()["contact"]["decay_mm"]
+    decay_mm = Params().to_dict()["contact"]["decay_mm"]
     found = []
     for points in recording.points_mm[frames.start : frames.stop]:
         heights = rest.indentation_mm(points)
         patch, _ = pressure_saliency(rest, heights, variance, rows=20, cols=20, decay_mm=decay_mm)
-        _, slip = tracker.run(points, covariance, patch.tolist())
-        if slip is not None:
-            found.append(SlipStatus(slip.status))
-    return found
+        answer = tracker.run(points, covariance, patch.tolist())
+        found.append(answer[1] if isinstance(answer, tuple) else answer)
+    return [answer for answer in found if answer is not None]
+
+
+def strained(strain_sigma_mm: float = 0.0, strain_share: float = 0.0) -> Params:
+    slip = {"method": "rigid", "strain_sigma_mm": strain_sigma_mm, "strain_share": strain_share}
+    return Params().replace(slip=slip)
+
+
+def slip_statuses(
+    sharpened: Sharpened, frames: range, strain_sigma_mm: float = 0.0, strain_share: float = 0.0
+) -> list[SlipStatus]:
+    rest = RestSurface(sharpened.sharp.rest_mm)
+    tracker = SlipTracker(rest, strained(strain_sigma_mm, strain_share), cols=sharpened.sharp.cols)
+    return [SlipStatus(slip.status) for slip in run(tracker, sharpened, frames)]
 
 
 @needs_wheel
@@ -198,6 +214,16 @@ def test_a_rolling_cylinder_is_no_gross_slip(sharpened: Sharpened) -> None:
         assert found.count(SlipStatus.STUCK) > 0.7 * len(found)
         # A deviation that grows with the depth is enough, and hides less slip of simulated parts.
         assert SlipStatus.GROSS not in slip_statuses(sharpened, frames, strain_share=0.06)
+
+
+@needs_wheel
+@pytest.mark.parametrize("strain_share", [0.04, 0.06])
+def test_a_rolling_cylinder_rolls(sharpened: Sharpened, strain_share: float) -> None:
+    rest = RestSurface(sharpened.sharp.rest_mm)
+    tracker = MotionTracker(rest, strained(strain_share=strain_share), cols=sharpened.sharp.cols)
+    kinds = [MotionKind(motion.kind) for motion in run(tracker, sharpened, range(100, 140))]
+    assert kinds.count(MotionKind.ROLLS) > 0.8 * len(kinds)
+    assert not {MotionKind.SLIDES, MotionKind.ROLLS_AND_SLIDES} & set(kinds)
 
 
 @needs_wheel
