@@ -22,6 +22,7 @@ from gelstereo.force import (
     read_loads,
 )
 from gelstereo.force.pressed import RestState
+from gelstereo.force.report import thickness
 from gelstereo.setup.sensor import Sensor, sensor_text
 
 YOUNG_KPA, POISSON, THICKNESS_MM = 85.0, 0.47, 5.0
@@ -110,6 +111,67 @@ def test_poissons_ratio_is_that_of_the_least_error(bench: Bench) -> None:
     assert abs(found.poisson_ratio - POISSON) <= 0.02
     assert found.chi2 == min(found.poisson_chi2.values())
     assert abs(found.young_kpa - YOUNG_KPA) < 0.05 * YOUNG_KPA
+
+
+def test_the_thickness_is_found_with_its_uncertainty(bench: Bench) -> None:
+    found = calibrate(
+        bench.rest,
+        bench.frames,
+        bench.loads,
+        bench.sensor,
+        thickness_mm=0.9 * THICKNESS_MM,
+        poisson_ratio=POISSON,
+        fits_thickness=True,
+    )
+    assert 0.0 < found.thickness_sigma_mm < 0.1 * THICKNESS_MM
+    assert abs(found.thickness_mm - THICKNESS_MM) < 2 * found.thickness_sigma_mm
+    assert abs(found.young_kpa - YOUNG_KPA) < 0.05 * YOUNG_KPA
+    assert f"{found.thickness_mm:.4g} ±" in thickness(found)
+
+
+def test_a_thickness_beyond_those_that_are_tried_is_refused(bench: Bench) -> None:
+    of_two = [frame for frame in bench.frames if frame.load in (0, 1)]
+    with pytest.raises(LoadsError, match=r"do not tell the thickness: \d\.\d\d mm"):
+        calibrate(bench.rest, of_two, bench.loads[:2], bench.sensor, thickness_mm=1.0, fits_thickness=True)
+
+
+def test_torques_alone_give_the_modulus(bench: Bench) -> None:
+    """As a weight on a lever: the forces are not stated."""
+    simulator, pose = gs.Simulator(bench.scenes[1]), np.eye(4)
+    pose[:3, 3] = 4.0, 0.0, 40.0
+    held = simulator.pressed(pose, 0.7)
+    pairs, loads = bench.pairs[:1], []
+    for twist_rad in (0.03, -0.05, 0.07):
+        start_s = pairs[-1][0] + 0.5
+        frame = simulator.press(held, twist_rad=twist_rad, frame=len(pairs))
+        pairs += [(start_s, frame.left, frame.right)]
+        assert frame.loads is not None
+        # About the direction towards the camera, which is -z.
+        known = np.array([np.nan, np.nan, np.nan, -frame.loads.torque_nmm[2]])
+        loads.append(Load(start_s, start_s + 0.1, known))
+    rest, frames = pressed_frames(iter(pairs), bench.sensor, loads)
+    found = calibrate(rest, frames, loads, bench.sensor, thickness_mm=THICKNESS_MM, poisson_ratio=POISSON)
+    assert abs(found.young_kpa - YOUNG_KPA) < 3 * found.young_sigma_kpa < 0.2 * YOUNG_KPA
+    assert found.left_out_rms < 0.1
+
+
+def test_creep_is_the_change_per_decade_of_time(bench: Bench) -> None:
+    first = [frame for frame in bench.frames if frame.load == 0][-1]
+    rest = bench.rest.surface.points_mm
+    times_s = np.geomspace(0.1, 10.0, 30)
+    crept = [
+        Pressed(
+            0,
+            time_s,
+            rest + (first.points_mm - rest) * (1.0 + 0.02 * np.log10(time_s)),
+            first.covariance_mm2,
+            first.patch,
+        )
+        for time_s in times_s
+    ]
+    (result,) = fit(bench, bench.loads[:1], crept).results
+    # Per decade of the mean of 0.3 to 10 s, at which the load is 1.005 times that of 1 s.
+    assert result.creep == pytest.approx(0.02, abs=0.001)
 
 
 def test_loads_in_other_units_give_another_modulus(bench: Bench) -> None:

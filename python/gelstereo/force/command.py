@@ -7,9 +7,9 @@ import sys
 from pathlib import Path
 
 from gelstereo.force.fit import calibrate, percent
-from gelstereo.force.loads import Load, read_loads
+from gelstereo.force.loads import Load, LoadsError, read_loads
 from gelstereo.force.pressed import pressed_frames, recorded_pairs
-from gelstereo.force.report import write_report
+from gelstereo.force.report import thickness, write_report
 from gelstereo.force.resultant import ResultantCalibration, calibrate_resultant
 from gelstereo.setup.sensor import load_sensor
 
@@ -59,12 +59,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="find it too; needs parts of different widths, or shear beside pressure",
     )
     parser.add_argument(
+        "--fit-thickness",
+        action="store_true",
+        help="find it too, near the given one; needs parts of different widths",
+    )
+    parser.add_argument(
         "--output", type=Path, default=Path("force.toml"), metavar="FILE", help="settings (%(default)s)"
     )
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Calibrate, print the figures, and write settings and report; return the exit code."""
+    if arguments.method == "resultant" and (arguments.fit_poisson or arguments.fit_thickness):
+        raise LoadsError("--method resultant has no layer; leave out --fit-poisson and --fit-thickness")
     loads = read_loads(arguments.loads)
     sensor = load_sensor(arguments.sensor)
 
@@ -83,6 +90,7 @@ def run(arguments: argparse.Namespace) -> int:
         sensor,
         thickness_mm=arguments.thickness_mm,
         poisson_ratio=None if arguments.fit_poisson else arguments.poisson_ratio,
+        fits_thickness=arguments.fit_thickness,
     )
     arguments.output.parent.mkdir(parents=True, exist_ok=True)
     arguments.output.write_text(found.to_toml(), encoding="utf-8")
@@ -90,7 +98,7 @@ def run(arguments: argparse.Namespace) -> int:
     write_report(page, found)
     print(
         f"Young's modulus {found.young_kpa:.1f} +- {found.young_sigma_kpa:.1f} kPa, Poisson's ratio "
-        f"{found.poisson_ratio:g}\n"
+        f"{found.poisson_ratio:g}, thickness {thickness(found)}\n"
         f"rms error of a load that was left out: {percent(found.left_out_rms)}\n"
         f"hysteresis: {percent(found.hysteresis)}\n"
         f"wrote {arguments.output} and {page}"

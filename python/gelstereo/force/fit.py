@@ -27,6 +27,8 @@ Floats = npt.NDArray[np.float64]
 
 #: Poisson's ratios that are tried: from that of a compressible foam to that of an incompressible rubber.
 _POISSON = (0.40, 0.43, 0.45, 0.46, 0.47, 0.475, 0.48, 0.485, 0.49, 0.493, 0.496, 0.498)
+#: Thicknesses that are tried, over the given one; the least of a parabola through the best three is taken.
+_THICKNESSES = (0.75, 0.9, 1.0, 1.1, 1.3)
 #: Frames after which a creeping gel has settled enough to be averaged, s.
 _SETTLED_S = 0.3
 #: Rounds in which the modulus and the weights that depend on it are found in turn.
@@ -73,6 +75,10 @@ class ForceCalibration:
         Weighted mean square of what is left: 1 where errors are as large as stated.
     poisson_chi2 : dict
         The same for each Poisson's ratio that was tried; one if it was given.
+    thickness_chi2 : dict
+        The same for each thickness that was tried, mm; one if it was given.
+    thickness_sigma_mm : float
+        Standard deviation of a thickness that was found; 0 if it was given.
     hysteresis : float
         Largest relative difference of equal loads on the way down and on the way up; NaN without such pairs.
     results : tuple of LoadResult
@@ -85,6 +91,8 @@ class ForceCalibration:
     thickness_mm: float
     chi2: float
     poisson_chi2: dict[float, float]
+    thickness_chi2: dict[float, float]
+    thickness_sigma_mm: float
     hysteresis: float
     results: tuple[LoadResult, ...]
 
@@ -98,7 +106,7 @@ class ForceCalibration:
         """The table ``force`` of `Params`."""
         return {
             "method": "ridge",
-            "thickness_mm": self.thickness_mm,
+            "thickness_mm": round(self.thickness_mm, 4),
             "young_kpa": round(self.young_kpa, 3),
             "young_sigma_kpa": round(self.young_sigma_kpa, 3),
             "poisson_ratio": self.poisson_ratio,
@@ -142,6 +150,7 @@ def calibrate(
     *,
     thickness_mm: float,
     poisson_ratio: float | None = 0.48,
+    fits_thickness: bool = False,
 ) -> ForceCalibration:
     """Fit the modulus to known loads.
 
@@ -160,42 +169,85 @@ def calibrate(
     poisson_ratio
         None finds the one that leaves the least of all components. Loads of one size and shape do not tell
         it: take parts of different widths.
+    fits_thickness
+        Find the thickness in the same way, between 0.75 and 1.3 times the given one.
 
     Raises
     ------
     LoadsError
-        No load has a known force.
+        No load has a known force, or the loads do not tell the thickness.
     """
     if not any(np.nansum(np.abs(load.known)) > 0.0 for load in loads):
         raise LoadsError("all known loads are zero; give at least one weight")
-    candidates = _POISSON if poisson_ratio is None else (poisson_ratio,)
-    found = {}
-    for nu in candidates:
-        units = _units(rest, frames, loads, sensor, thickness_mm, nu)
-        found[nu] = (units, *_modulus(units, loads))
-    best = min(found, key=lambda nu: found[nu][3])
-    units, young_kpa, sigma_kpa, chi2 = found[best]
+    thickness_sigma_mm, thickness_chi2 = 0.0, {}
+    ratios = _POISSON if poisson_ratio is None else (poisson_ratio,)
+
+    def best_at(thickness_mm: float) -> _Fits:
+        return _fits(rest, frames, loads, sensor, thickness_mm, ratios)
+
+    if fits_thickness:
+        tried = {share * thickness_mm: best_at(share * thickness_mm).chi2 for share in _THICKNESSES}
+        thickness_mm, thickness_sigma_mm = _least(tried, sum(np.isfinite(load.known).sum() for load in loads))
+        thickness_chi2 = tried
+    found = best_at(thickness_mm)
     return ForceCalibration(
-        young_kpa=young_kpa,
-        young_sigma_kpa=sigma_kpa,
-        poisson_ratio=best,
+        young_kpa=found.young_kpa,
+        young_sigma_kpa=found.sigma_kpa,
+        poisson_ratio=found.poisson_ratio,
         thickness_mm=thickness_mm,
-        chi2=chi2,
-        poisson_chi2={nu: each[3] for nu, each in found.items()},
-        hysteresis=_hysteresis(units, loads),
-        results=tuple(_result(k, units, loads, young_kpa) for k in range(len(loads))),
+        chi2=found.chi2,
+        poisson_chi2=found.by_ratio,
+        thickness_chi2=thickness_chi2 or {thickness_mm: found.chi2},
+        thickness_sigma_mm=thickness_sigma_mm,
+        hysteresis=_hysteresis(found.units, loads),
+        results=tuple(_result(k, found.units, loads, found.young_kpa) for k in range(len(loads))),
     )
 
 
-def _units(
+@dataclass(frozen=True)
+class _Fits:
+    """The best of all Poisson's ratios at one thickness."""
+
+    units: list[UnitLoad]
+    poisson_ratio: float
+    young_kpa: float
+    sigma_kpa: float
+    chi2: float
+    by_ratio: dict[float, float]
+
+
+def _fits(
     rest: RestState,
     frames: Sequence[Pressed],
     loads: Sequence[Load],
     sensor: Sensor,
     thickness_mm: float,
-    nu: float,
-) -> list[UnitLoad]:
-    return unit_loads(rest, frames, loads, force_params(sensor, thickness_mm, nu))
+    ratios: Sequence[float],
+) -> _Fits:
+    found = {}
+    for nu in ratios:
+        units = unit_loads(rest, frames, loads, force_params(sensor, thickness_mm, nu))
+        found[nu] = (units, *_modulus(units, loads))
+    best = min(found, key=lambda nu: found[nu][3])
+    units, young_kpa, sigma_kpa, chi2 = found[best]
+    return _Fits(units, best, young_kpa, sigma_kpa, chi2, {nu: each[3] for nu, each in found.items()})
+
+
+def _least(chi2: dict[float, float], known: int) -> tuple[float, float]:
+    """Thickness of the least mean square, and its standard deviation, by a parabola in its logarithm."""
+    values = sorted(chi2)
+    best = int(np.argmin([chi2[value] for value in values]))
+    if best in (0, len(values) - 1):
+        raise LoadsError(
+            f"the loads do not tell the thickness: {values[best]:.2f} mm, the end of those that were tried, "
+            "leaves the least; press parts of different widths, or give the thickness"
+        )
+    near = values[best - 1 : best + 2]
+    bend, slope, _ = np.polyfit(np.log(near), [chi2[value] for value in near], 2)
+    thickness_mm = float(np.exp(-slope / (2.0 * bend)))
+    # The sum of squares rises by one, or by their mean where errors are larger than stated.
+    sigma = np.sqrt(max(chi2[values[best]], 1.0) / (bend * max(known - 2, 1)))
+    return thickness_mm, float(thickness_mm * sigma)
 
 
 def unit_loads(

@@ -11,7 +11,7 @@ from gelstereo.force.fit import ForceCalibration, percent
 from gelstereo.force.loads import COMPONENTS
 from gelstereo.view import html
 
-__all__ = ["write_report"]
+__all__ = ["thickness", "write_report"]
 
 #: Size and border of a picture, pixels.
 _SIDE, _EDGE = 420, 56
@@ -24,7 +24,7 @@ def write_report(path: Path, calibration: ForceCalibration) -> None:
     figures = [
         ["Young's modulus, kPa", f"{found.young_kpa:.1f} ± {found.young_sigma_kpa:.1f}"],
         ["Poisson's ratio", f"{found.poisson_ratio:g}"],
-        ["thickness, mm", f"{found.thickness_mm:g}"],
+        ["thickness", thickness(found)],
         ["rms error of a load that was left out", percent(found.left_out_rms)],
         ["hysteresis", percent(found.hysteresis)],
         ["errors over their stated size, mean square", f"{found.chi2:.2f}"],
@@ -34,7 +34,12 @@ def write_report(path: Path, calibration: ForceCalibration) -> None:
             "Forces are those of the part on the gel. Every figure is from the given loads alone."
         ),
         html.Grid("What was found", ("figure", "value"), figures, words=True),
-        html.Figure("Measured over known forces; the line is equality.", _scatter(found).encode(), "svg"),
+        html.Figure(
+            "Measured over known forces; the straight line is equality. Pressing forces are joined in the "
+            "order of time: the way down lies above or below the way up by the hysteresis.",
+            _scatter(found).encode(),
+            "svg",
+        ),
         html.Grid(
             "Loads in the order of time: known, measured, and the error by a calibration without this load",
             (
@@ -47,11 +52,18 @@ def write_report(path: Path, calibration: ForceCalibration) -> None:
             [_row(k, found) for k in range(len(found.results))],
         ),
     ]
-    if len(found.poisson_chi2) > 1:
-        rows = [[f"{nu:g}", f"{chi2:.2f}"] for nu, chi2 in found.poisson_chi2.items()]
-        caption = "Errors over their stated size, mean square, for each Poisson's ratio"
-        blocks.append(html.Grid(caption, ("Poisson's ratio", "mean square"), rows))
+    for name, tried in (("Poisson's ratio", found.poisson_chi2), ("thickness, mm", found.thickness_chi2)):
+        if len(tried) > 1:
+            rows = [[f"{value:g}", f"{chi2:.2f}"] for value, chi2 in tried.items()]
+            caption = f"Errors over their stated size, mean square, for each value of: {name}"
+            blocks.append(html.Grid(caption, (name, "mean square"), rows))
     path.write_text(html.document("Calibration of forces", blocks), encoding="utf-8")
+
+
+def thickness(found: ForceCalibration) -> str:
+    """The gel's thickness as text."""
+    off = f" ± {found.thickness_sigma_mm:.2f}" if found.thickness_sigma_mm > 0.0 else ""
+    return f"{found.thickness_mm:.4g}{off} mm"
 
 
 def _row(k: int, calibration: ForceCalibration) -> list[str]:
@@ -93,6 +105,9 @@ def _scatter(calibration: ForceCalibration) -> str:
         f'<text x="16" y="{_SIDE / 2}" text-anchor="middle" transform="rotate(-90 16 {_SIDE / 2})">'
         "measured force, N</text>",
     ]
+    pressing = [(known, measured) for name, known, measured, _ in points if name == COMPONENTS[0]]
+    way = " ".join(f"{x(known):.1f},{y(measured):.1f}" for known, measured in pressing)
+    parts.append(f'<polyline points="{way}" fill="none" stroke="{_COLOURS[COMPONENTS[0]]}" opacity="0.35"/>')
     for tick in np.linspace(low, high, 5)[1:-1]:
         parts.append(
             f'<text x="{x(tick):.1f}" y="{_SIDE - _EDGE + 16}" text-anchor="middle">{tick:.2g}</text>'
