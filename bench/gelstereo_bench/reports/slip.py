@@ -40,6 +40,7 @@ __all__ = [
     "alarms",
     "follow",
     "main",
+    "part_shape",
     "runs",
     "touched",
 ]
@@ -114,7 +115,7 @@ def _about(centre: Array, turn: Array, shift: Array) -> Array:
     return np.asarray(there @ se3_exp(np.concatenate([turn, shift])) @ back)
 
 
-def _indenter(kind: str, random: np.random.Generator) -> tuple[dict[str, object], float]:
+def part_shape(kind: str, random: np.random.Generator) -> tuple[dict[str, object], float]:
     """Shape of a part, and the distance from its middle to its face."""
     if kind == "ball":
         radius = random.uniform(2.0, 8.0)
@@ -127,7 +128,7 @@ def _indenter(kind: str, random: np.random.Generator) -> tuple[dict[str, object]
 
 def _run(kind: str, motion: str, random: np.random.Generator, layout: str) -> Run:
     friction = random.uniform(0.2, 1.2) if motion in ("drag", "twist") else random.uniform(1.0, 2.0)
-    indenter, reach = _indenter(kind, random)
+    indenter, reach = part_shape(kind, random)
     thickness_mm = random.uniform(3.0, 5.0)
     printed = {"layout": layout, "rows": _ROWS[layout], "cols": SIDE}
     gel = {**Scene().to_dict()["gel"], **printed, "thickness_mm": thickness_mm}
