@@ -237,13 +237,15 @@ def _least(chi2: dict[float, float], known: int) -> tuple[float, float]:
     """Thickness of the least mean square, and its standard deviation, by a parabola in its logarithm."""
     values = sorted(chi2)
     best = int(np.argmin([chi2[value] for value in values]))
-    if best in (0, len(values) - 1):
+    bend, slope = 0.0, 0.0
+    if 0 < best < len(values) - 1:
+        near = values[best - 1 : best + 2]
+        bend, slope, _ = np.polyfit(np.log(near), [chi2[value] for value in near], 2)
+    if not bend > 0.0:
         raise LoadsError(
-            f"the loads do not tell the thickness: {values[best]:.2f} mm, the end of those that were tried, "
-            "leaves the least; press parts of different widths, or give the thickness"
+            f"the loads do not tell the thickness: {values[best]:.2f} mm leaves the least, of "
+            f"{values[0]:.2f} to {values[-1]:.2f} mm; press parts of different widths, or give the thickness"
         )
-    near = values[best - 1 : best + 2]
-    bend, slope, _ = np.polyfit(np.log(near), [chi2[value] for value in near], 2)
     thickness_mm = float(np.exp(-slope / (2.0 * bend)))
     # The sum of squares rises by one, or by their mean where errors are larger than stated.
     sigma = np.sqrt(max(chi2[values[best]], 1.0) / (bend * max(known - 2, 1)))

@@ -29,7 +29,7 @@ const RIM: f64 = 1.0;
 const AGAIN: f64 = 100.0;
 // FREE_LAG and FEW were chosen on 183 simulated drags and twists and 85 contacts that stick, whose patch is
 // from heights (seeds 31 and 33 of the report). SURE, UNSURE and FRAMES were chosen on 120 and 53 (seeds 101
-// and 102), without markers that do not go as deep as the part; docs/slip.md judges by other seeds.
+// and 102), with markers at another depth than the part's as free; docs/slip.md judges by other seeds.
 
 /// Least share of the part's motion by which free gel beside the patch lags behind, within a pitch of it:
 /// 99 % of such markers lag by 0.21 or more at first. With 0.15 and 0.2, 136 and 142 slips are found in time.
@@ -314,8 +314,8 @@ impl SlipTracker {
         }
     }
 
-    /// Whether a marker does not touch the part: it is not as deep as the part's motion would carry it. On
-    /// slopes of up to 45 degrees, slip does not explain that.
+    /// Whether a marker does not touch the part: it is less deep, or deeper, than the part's motion carries
+    /// it, and that is most of its distance. On slopes of up to 45 degrees, slip does not explain that.
     fn is_free(&self, off_mm: DVec3, noise: &Symmetric<3>, gate: f64) -> bool {
         let (deep_mm, [x, y]) = (off_mm.dot(self.up), self.along.map(|axis| off_mm.dot(axis)));
         abs(deep_mm) > hypot(x, y) && deep_mm * deep_mm > gate * form(noise, self.up, self.up)
